@@ -78,7 +78,7 @@ def keys(key: str | None) -> None:
             title, *lines = described(Scenario, "scenario")
             echo("\n".join([title, f"    {base}", *lines]))
         else:
-            place = re.sub(r"\.\d+\b", "", key).split(".")  # of fault.0.start, fault.start
+            place = re.sub(r"\.\d+\b", "", key).split(".")  # fault.0.start is described as fault.start
             echo("\n".join(described_at(place, Scenario)))
     except ValueError as error:
         from desim.config.key_index import homes_of
@@ -90,9 +90,9 @@ def keys(key: str | None) -> None:
         if isinstance(error, KindMissingError):
             fail(str(error))
         above, _, last = str(key).rpartition(".")
-        homes = list(dict.fromkeys(home.dotted for home in homes_of(last, Scenario)))
-        homes.sort(key=lambda home: not home.startswith(f"{above}."))  # those in the same table first
-        hint = f"; did you mean {' or '.join(homes[:3])}?" if homes else ""
+        similar_keys = list(dict.fromkeys(similar.dotted for similar in homes_of(last, Scenario)))
+        similar_keys.sort(key=lambda dotted: not dotted.startswith(f"{above}."))  # those in the same table first
+        hint = f"; did you mean {' or '.join(similar_keys[:3])}?" if similar_keys else ""
         fail(f"{error}{hint}")
 
 
@@ -112,7 +112,8 @@ def metrics(only: str | None) -> None:
     for name, metric in METRICS.items():
         if only not in {None, name}:
             continue
-        text = docs.get(name) or (metric.of.__doc__ or "").partition("\n")[0].removeprefix("Return ") or metric.note
+        first_line = (metric.of.__doc__ or "").partition("\n")[0]
+        text = docs.get(name) or first_line.removeprefix("Return ") or metric.note
         sign = f" More is {metric.more_is}." if metric.more_is else ""
         text = f": {text[:1].upper()}{text[1:].removesuffix('.')}.{sign}" if isinstance(text, str) else ""
         echo(f"{with_unit(name, metric.unit)}{text}")

@@ -128,8 +128,8 @@ def race(
         store.note_command(str(Path.cwd()), sys.argv)
         with execution.workers(store, plan.runs) as workers:
             result = carry_out_race(plan, store, workers, rules)
-        made = provenance.document("race", scenario, seed=plan.root, runs=result.runs, folder=file.parent)
-        provenance.write(folder, made)
+        document = provenance.document("race", scenario, seed=plan.root, runs=result.runs, folder=file.parent)
+        provenance.write(folder, document)
     present(result, folder, "race", as_json=as_json)
 
 

@@ -50,12 +50,12 @@ def bench(
         suite = Suite.of(version)
     except ValueError as error:
         raise click.BadParameter(str(error), param_hint="--version") from error
-    entered = [protocol_of(text, "--protocol") for text in protocols]
+    entries = [protocol_of(text, "--protocol") for text in protocols]
     folder = None
-    if entered or again:
+    if entries or again:  # there are runs, which need a store
         folder = Path("out") / "bench" / f"v{suite.version}" if out is None else out
         make_folder(folder)
-    if entered and not again and not frozen_matches(suite):
+    if entries and not again and not frozen_matches(suite):
         echo(
             "warning: this desim does not repeat the frozen runs of the built-in protocols, so the rows differ in more"
             " than the protocols: --again performs all runs",
@@ -64,7 +64,7 @@ def bench(
     with storing(folder), failures_told(lambda: f"the finished runs are in {folder}"):
         try:
             benchmark = compared(
-                entered,
+                entries,
                 runs,
                 execution.executor,
                 version=suite.version,

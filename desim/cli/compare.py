@@ -1,4 +1,4 @@
-"""What is known of several results: `desim ls`, `desim compare` and `desim crossover`."""
+"""Several results: `desim ls` lists them, `desim compare` and `desim crossover` compare configurations."""
 
 import json
 from pathlib import Path
@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
 
 def _share(text: str) -> float:
-    """Return a share in percent, 0.1 for 10%; raise ValueError if the text has another form."""
-    number, sign, rest = text.partition("%")
-    if not sign or rest:
+    """Return the share that a text states in percent, 0.1 for 10%; raise ValueError if it has another form."""
+    number, sign, after = text.partition("%")
+    if not sign or after:
         raise ValueError
     return float(number) / 100.0
 
@@ -112,7 +112,8 @@ def crossover(
     from desim.study.results.result import SweepResult
     from desim.study.sweeps.folder import open as open_results
 
-    if (over is None) != (a is not None and b is not None) or (over is not None and a is not None):
+    is_crossover, is_threshold = b is not None and over is None, a is None and over is not None
+    if not (is_crossover or is_threshold):
         raise click.UsageError("give either the two curves A and B, protocol=sap protocol=cbba, or --over 10%")
     if baseline is not None and over is None:
         raise click.UsageError("--baseline is an option of --over")

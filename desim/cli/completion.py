@@ -16,15 +16,15 @@ from desim.config.whole_files import write_whole
 
 
 def keys(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:
-    """Return the completions KEY= and KEY.kind=KIND that begin with a text."""
+    """Return the completions KEY= and KEY.kind=KIND that begin with the incomplete word."""
     cache, state = _cache_folder() / "keys.txt", _state()
-    kept = cache.read_text(encoding="utf-8").split("\n") if cache.is_file() else []
-    if kept[:1] != [state]:
-        kept = [state, *all_completions()]
+    lines = cache.read_text(encoding="utf-8").split("\n") if cache.is_file() else []
+    if lines[:1] != [state]:
+        lines = [state, *all_completions()]
         with suppress(OSError):  # without a cache, the next press of Tab takes as long as this one
             cache.parent.mkdir(parents=True, exist_ok=True)
-            write_whole(cache, "\n".join(kept).encode())
-    return _matching(kept[1:], incomplete)
+            write_whole(cache, "\n".join(lines).encode())
+    return _matching(lines[1:], incomplete)
 
 
 def all_completions() -> list[str]:
@@ -34,7 +34,7 @@ def all_completions() -> list[str]:
 
     completions = set[str]()
     for key in all_keys(Scenario):
-        table = "fault.0" if key.dotted == "fault" else key.dotted
+        table = "fault.0" if key.dotted == "fault" else key.dotted  # --set needs the index of a fault
         completions |= {f"{key.dotted}=", *(f"{table}.kind={kind}" for kind in key.kinds)}
     return sorted(completions)
 
@@ -53,7 +53,7 @@ def _state() -> str:
 
 
 def protocols(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:
-    """Return the kinds of the installed protocols that begin with a text."""
+    """Return the kinds of the installed protocols that begin with the incomplete word."""
     check_visible("protocols")
     from protocols import KINDS
 
@@ -62,7 +62,7 @@ def protocols(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> 
 
 
 def examples(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:
-    """Return the names of the example scenarios that begin with a text."""
+    """Return the names of the example scenarios that begin with the incomplete word."""
     from desim.scenario.examples import examples as all_examples
 
     return _matching([*all_examples()], incomplete)

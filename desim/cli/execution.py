@@ -1,4 +1,4 @@
-"""How a command performs many runs: the options that it has for them, and what it says if a run fails."""
+"""The execution of many runs by a command: options such as --jobs, and the messages if a run fails."""
 
 import shlex
 import sys
@@ -43,9 +43,11 @@ class Execution:
 
     @contextmanager
     def workers(self, store: "Store", runs: int | None = None) -> Iterator["Workers"]:
-        """Yield the workers for at most so many runs, if that is known, which are added to a store.
+        """Yield the workers; end the program as `failures_told` does, or if no scheduler answers.
 
-        End the program as `failures_told` does, or if no scheduler answers.
+        Args:
+            store: the store to which the runs are added.
+            runs: the largest number of runs; None: it is not known.
         """
         from desim.config.number_texts import counted
         from desim.study.workers.executors import workers_for
@@ -53,7 +55,7 @@ class Execution:
         def kept() -> str:
             count, failed = len(store) - store.failed_runs, store.failed_runs
             text = f"{counted(count, 'finished run')} {'is' if count == 1 else 'are'} in {store.path}"
-            has_report = failed and store.path.name == STORE
+            has_report = failed and store.path.name == STORE  # `desim report` reads no store of another name
             folder = shlex.quote(str(store.path.parent))
             return f"{text}; `desim report {folder}` shows the traceback" if has_report else text
 

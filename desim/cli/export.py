@@ -96,7 +96,7 @@ def export(
 
 
 def _is_run(source: Path) -> bool:
-    """Return whether a source is a run or a scenario file; end the program if it has a run and a sweep."""
+    """Return whether a source is a run or a scenario file; end the program if it is a folder of a run and a sweep."""
     if source.is_dir():
         with storing():  # the folder may be closed to the user
             has_run, has_sweep = (source / TRACE).exists(), (source / STORE).exists()
@@ -130,16 +130,15 @@ def _export_run(
             result = result_of(source, seed, overrides)
         count = formats.export(result, file, chosen)
     except OSError as error:
-        is_source = error.filename is not None and Path(error.filename).name == TRACE
-        fail(
-            f"{error.filename if is_source else file}: cannot be {'read' if is_source else 'written'}: {error.strerror}"
-        )
+        if error.filename is not None and Path(error.filename).name == TRACE:
+            fail(f"{error.filename}: cannot be read: {error.strerror}")
+        fail(f"{file}: cannot be written: {error.strerror}")
     except (ImportError, ValueError) as error:
         fail(str(error))
     scenario = vars(result).get("scenario")  # a streamed result has one if the exporter has asked for it
     if is_recorded(source) and scenario is not None and scenario.record.messages is False:
         echo(f"warning: {source}: messages were not recorded, and are left out: set record.messages = true", err=True)
-    singular = re.sub("ies$", "y", traits.items)
+    singular = re.sub("ies$", "y", traits.items)  # an exporter of a user may count entries, boxes, passes or batches
     singular = re.sub("(?<=x)es$|(?<=ss)es$|(?<=[cs]h)es$|s$", "", singular)
     items = singular if count == 1 else traits.items
     written = "" if count is None else f"{count:,} {items} to "
@@ -163,8 +162,8 @@ def _export_sweep(
     path, *others = store_files((source,))
     if others:
         fail(f"{source}: has {len(others) + 1} stores: merge them first, or give one of them")
-    with storing(), Store(path, read_only=True) as kept:
-        result = SweepResult.of(kept)
+    with storing(), Store(path, read_only=True) as store:
+        result = SweepResult.of(store)
     try:
         result.write(file, metrics or SHOWN, labels=labels_of(result, labels), without=without)
     except OSError as error:

@@ -78,20 +78,21 @@ def _node_of(cell: str, names: Sequence[str], count: int) -> int:
     are_numbers = any(known_name.isdecimal() for known_name in names)  # "1" is then a name, and not the second node
     if not are_numbers and name.isascii() and name.isdecimal() and int(name) < count:
         return int(name)
-    some = f"{names[0]} .. {names[-1]}" if names else f"0 .. {count - 1}"
-    raise ValueError(f"there is no node {escaped(name)}: the nodes are {some}")
+    nodes = f"{names[0]} .. {names[-1]}" if names else f"0 .. {count - 1}"
+    raise ValueError(f"there is no node {escaped(name)}: the nodes are {nodes}")
 
 
 def _csv_of(rows: "Sequence[Fate]", names: Sequence[str]) -> str:
-    """Return fates as CSV with the names of nodes, if they have any; without an arrival the cell is empty."""
+    """Return fates as CSV with the names of nodes, if they have any; the cell of a missing arrival is empty."""
     from desim.kernel.fates import Fate
 
-    table, shown = StringIO(), dict(enumerate(names))
+    table, name_of = StringIO(), dict(enumerate(names))
     writer = csv.writer(table, lineterminator="\n")
     writer.writerow(Fate._fields)
     for row in rows:
         arrived = "" if isnan(row.arrived) else row.arrived
-        writer.writerow(row._replace(src=shown.get(row.src, row.src), dst=shown.get(row.dst, row.dst), arrived=arrived))  # type: ignore[arg-type]
+        src, dst = (name_of.get(node, node) for node in (row.src, row.dst))
+        writer.writerow(row._replace(src=src, dst=dst, arrived=arrived))  # type: ignore[arg-type]
     return table.getvalue()
 
 

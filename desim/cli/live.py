@@ -114,13 +114,13 @@ def _run(
     start = time.perf_counter()
     results = runs(scenario, seeds, hosts=hosts, links=links, tell=lambda text: echo(text, err=True))
     wall_time = time.perf_counter() - start
-    for result in results if out is not None else ():
-        assert out is not None
-        _write(result, out if count == 1 else out / f"seed-{result.seed}")
+    if out is not None:
+        for result in results:
+            _write(result, out if count == 1 else out / f"seed-{result.seed}")
     summaries = [summary(result) for result in results]
     if as_json:
         conducts = [result.conduct.document() for result in results]
-        entries = [plain(one) | {"live": conduct} for one, conduct in zip(summaries, conducts, strict=True)]
+        entries = [plain(numbers) | {"live": conduct} for numbers, conduct in zip(summaries, conducts, strict=True)]
         echo(json.dumps({"scenario": scenario.plain(), "runs": entries}, indent=2))
     else:
         shown = shown_metrics(scenario, metrics)
@@ -149,7 +149,7 @@ def _write(result: "LiveResult", folder: Path) -> None:
 
 
 def overload(results: "Sequence[LiveResult]") -> str:
-    """Return a sentence if timers or deliveries were so late that a run depends on the machine; "" if not."""
+    """Return a sentence if timers or deliveries were so late that results depend on the machine; "" if not."""
     from desim.live.agreement import GATE
     from desim.live.result import lateness_of
 

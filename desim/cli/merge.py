@@ -38,7 +38,7 @@ def merge(stores: tuple[Path, ...], out: Path, mix_versions: bool) -> None:
 
 
 def store_files(stores: tuple[Path, ...]) -> list[Path]:
-    """Return the files of stores; a folder stands for all stores in it, of a sweep or of its shards."""
+    """Return the files of stores; a folder stands for the stores in it, of a whole sweep or of its shards."""
     return [file for source in stores for file in (_stores_in(source) if source.is_dir() else [source])]
 
 

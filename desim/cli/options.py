@@ -17,10 +17,13 @@ COUNT = click.IntRange(1, 1_000_000)
 
 
 class _PathType(click.Path):
-    """The type of paths of which the system says whether they exist; a folder without permission hides its files."""
+    """The type of paths, whether or not they exist.
+
+    It refuses a path of which the system does not say whether it exists, as in a folder without permission.
+    """
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
-        """Return the path; raise a usage error if nothing is known of it."""
+        """Return the path; raise a usage error if the system refuses to look it up."""
         path = Path(value)
         try:
             path.exists()
@@ -39,7 +42,7 @@ class Parsed(click.ParamType[Any]):
     Args:
         name: the form, for the help.
         parse: returns what a text stands for; raises ValueError if it has another form.
-        wanted: what it should be, for the message about any other text.
+        wanted: the form with an example, for the message about a text of another form.
     """
 
     def __init__(self, name: str, parse: Callable[[str], Any], wanted: str):
@@ -54,7 +57,7 @@ class Parsed(click.ParamType[Any]):
 
 
 def pair(form: str = "KEY=VALUE", example: str = "protocol.kind=sap") -> Parsed:
-    """Return the type of two texts with an equals sign between them, the first one in the value."""
+    """Return the type of two texts that are separated by the first equals sign."""
 
     def parse(text: str) -> tuple[str, str]:
         first, equals, second = text.partition("=")
@@ -70,7 +73,7 @@ def out_to(text: str, *, required: bool = False) -> Callable[[Callable[..., None
     return click.option("-o", "--out", type=PATH, required=required, help=text)
 
 
-def _one_word_each(ctx: click.Context, param: click.Parameter, settings: tuple[str, ...]) -> tuple[str, ...]:
+def _check_settings(ctx: click.Context, param: click.Parameter, settings: tuple[str, ...]) -> tuple[str, ...]:
     """Return the settings; end the program if one has no "=".
 
     In `--set KEY = VALUE`, with spaces, only KEY is the value of --set. Without this check, the error message would be
@@ -88,7 +91,7 @@ SET = click.option(
     "overrides",
     multiple=True,
     metavar="KEY=VALUE",
-    callback=_one_word_each,
+    callback=_check_settings,
     shell_complete=completion.keys,
     help="Override a key, e.g. network.latency.value=0.05.",
 )
@@ -97,7 +100,7 @@ GRID = click.option(
     "--grid",
     multiple=True,
     metavar="KEY=V1,V2,...",
-    callback=_one_word_each,
+    callback=_check_settings,
     shell_complete=completion.keys,
     help="Sweep a key over values, in addition to sweep.grid or in place of its values there; can be repeated. A"
     " range FIRST:LAST:STEP, such as 0:1:0.1, stands for its numbers, the last included, and log:FIRST:LAST:COUNT for"
@@ -185,9 +188,9 @@ def is_import_allowed() -> bool:
 
 
 def as_words(options: Mapping[str, Any]) -> list[str]:
-    """Return the words of options and their values, by option, for a command that a message or a script has.
+    """Return options with their values as words of a command line, for a message or a script.
 
-    None and False stand for an option that is left out, True for a flag, and a tuple for one that is repeated.
+    If the value is None or False, the option is left out. True is the value of a flag; a tuple repeats the option.
     """
     words: list[str] = []
     for option, values in options.items():
@@ -197,7 +200,7 @@ def as_words(options: Mapping[str, Any]) -> list[str]:
     return words
 
 
-def _limit(_ctx: click.Context, _param: click.Parameter, limit: float | None) -> float | None:
+def _checked_limit(_ctx: click.Context, _param: click.Parameter, limit: float | None) -> float | None:
     try:
         return limit if limit is None else checked_limit(limit)
     except ValueError as error:
@@ -206,7 +209,7 @@ def _limit(_ctx: click.Context, _param: click.Parameter, limit: float | None) ->
 
 def _timeout(text: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Return the option --timeout, whose help is a text."""
-    return click.option("--timeout", type=float, metavar="SECONDS", callback=_limit, help=text)
+    return click.option("--timeout", type=float, metavar="SECONDS", callback=_checked_limit, help=text)
 
 
 MIX_VERSIONS = click.option(

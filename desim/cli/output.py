@@ -1,4 +1,4 @@
-"""What a command prints and writes, and how it ends: results, errors and exit codes."""
+"""The output of commands: results, errors and exit codes."""
 
 import os
 import sys
@@ -24,7 +24,7 @@ FAILED = 3
 WRONG_INPUT = 2
 """Exit code if a file or an option is invalid."""
 RAISED = 1
-"""Exit code if code of a user fails or returns a wrong value, a time limit is exceeded, or the memory is full."""
+"""Exit code if a user's code fails or returns a wrong value, a time limit is exceeded, or the memory is full."""
 
 
 def make_folder(folder: Path) -> None:
@@ -79,7 +79,7 @@ def making(page: str) -> Iterator[None]:
 
 @contextmanager
 def of_option(name: str, value: object) -> Iterator[None]:
-    """End the program on a ValueError about the value of an option, whose name then precedes the message."""
+    """If the value of an option raises ValueError, end the program with the option and the value before the message."""
     try:
         yield
     except ValueError as error:
@@ -96,7 +96,7 @@ def storing(folder: Path | None = None) -> Iterator[None]:
     except OSError as error:
         file = error.filename or folder
         option = "--out " if folder is not None and str(file).startswith(str(folder)) else ""
-        fail(f"{option}{file}: {error.strerror}" if error.strerror else str(error))  # desim's own have no strerror
+        fail(f"{option}{file}: {error.strerror}" if error.strerror else str(error))  # a StoreError has no strerror
 
 
 def echo(text: str, *, err: bool = False, end: str = "\n") -> None:

@@ -1,4 +1,4 @@
-"""Pages: `desim replay` plays a run, `desim report` tells of a sweep, and `desim play` lets users change a scenario."""
+"""Pages: `desim replay` plays runs, `desim report` shows a sweep, and `desim play` lets users change a scenario."""
 
 import os
 import shlex
@@ -65,7 +65,7 @@ def replay(sources: tuple[Path, ...], out: Path | None, seed: int | None, overri
 
 
 def _usual_page(sources: tuple[Path, ...]) -> Path:
-    """Return the default path of the page that plays one or two runs; a DIR/trace.jsonl counts as its DIR."""
+    """Return the default path of the page that plays one or two runs; DIR/trace.jsonl stands for DIR."""
     sources = tuple(source.parent if source.name == TRACE else source for source in sources)
     if len(sources) == 1 and sources[0].is_dir():
         return sources[0] / "replay.html"
@@ -113,7 +113,7 @@ def report(folder: Path, out: Path | None, against: tuple[tuple[str, str], ...])
 
 
 def _check_sweep(folder: Path) -> None:
-    """End the program if a folder has no store of a sweep, but stores of its shards, or recorded runs."""
+    """End the program if a folder has the stores of shards, or recorded runs, instead of the store of a sweep."""
     if (folder / STORE).exists():
         return
     if parts := sorted(part.name for part in folder.glob(STORE_PARTS)):
@@ -167,8 +167,8 @@ def play(file: Path | None, no_browser: bool, timeout: float | None, overrides: 
 def _door(folder: Path, address: str) -> str:
     """Write a page that redirects to an address, and return the address of that page.
 
-    The address has a secret token, so it must not be on the command line of the browser, which other users of the
-    machine can see. They cannot read the folder.
+    The address has a secret token. Other users of the machine see the command line of the browser, so the token must
+    not be there; they cannot read the folder.
     """
     path = folder / "play.html"
     path.write_text(f'<meta http-equiv="refresh" content="0; url={address}">', encoding="utf-8")

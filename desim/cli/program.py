@@ -1,8 +1,10 @@
 """The response of `desim` and of the studies in `scenarios` to interrupts, time-outs and a closed or full stdout.
 
-The end of a trace (`TraceEndError`) ends the program, too, because a scenario asks for it, and so does a model of a
-user that returns what it cannot return (`AnswerError`), whose message names its file and line. A metric of a user that
-raises an exception (`MetricError`) ends it with the calls in the user's code.
+Three further errors end the program without a traceback of desim:
+
+- the end of a trace (`TraceEndError`), if the scenario asks for this error;
+- a wrong answer of a user's model (`AnswerError`): the message names its file and line;
+- an exception of a user's metric (`MetricError`): the message has the calls in the user's code.
 """
 
 import os
@@ -22,7 +24,7 @@ from desim.simulation.watchdog import OUT_OF_MEMORY, TimedOut
 
 
 def released(error: BaseException | None) -> None:
-    """Let go of what the calls of an exception, and of those before it, hold: a message about it needs memory, too."""
+    """Release the objects that the calls of an exception, and of earlier ones, hold: a message needs memory, too."""
     while error is not None:
         error.__traceback__, error.__cause__, error.__context__, error = None, None, None, error.__context__
 
@@ -39,7 +41,7 @@ class Program(click.Command):
             with raising(), warnings.catch_warnings():
                 warnings.showwarning = lambda message, *_, **__: echo(f"warning: {message}", err=True)
                 return super().invoke(ctx)
-        except click.UsageError as error:  # of a command of the group
+        except click.UsageError as error:  # raised by a command of the group, whose words `make_context` has kept
             raise advised(error, ctx.meta.get(WORDS, ()), ctx) from None
         except KeyboardInterrupt as error:
             text = f"interrupted {error}".rstrip()
@@ -92,7 +94,8 @@ class Program(click.Command):
         try:
             return super().main(*args, **options)
         except OSError as error:
-            if extract_tb(error.__traceback__)[-1].filename != click.echo.__code__.co_filename:  # not by printing
+            is_printing = extract_tb(error.__traceback__)[-1].filename == click.echo.__code__.co_filename
+            if not is_printing:
                 raise
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # so that the flush at exit succeeds
             fail(f"stdout: cannot be written: {error.strerror}")

@@ -1,4 +1,4 @@
-"""The results that a command shows: read from a folder, or simulated for the command."""
+"""The results that a command shows: read from a folder, or simulated first if the source is a scenario file."""
 
 import shlex
 from collections.abc import Iterable
@@ -93,8 +93,8 @@ def check_recorded_options(seed: int | None, overrides: tuple[str, ...]) -> None
 def labels_of(result: "SweepResult", labels: Iterable[tuple[str, str]]) -> dict[str, str]:
     """Return the texts of the options --label by value.
 
-    A label is split at its first "="; as a value may contain "=", also at a later one, after its shortest beginning
-    that is a value of the sweep.
+    A value may contain "=", too. So a label is split at the first "=" that follows a value of the sweep; if there is no
+    such value, at its first "=", as in `labels`.
     """
     from desim.study.results.runs import text
 

@@ -1,4 +1,4 @@
-"""What commands print and write about many runs: how these were performed, a table with sentences, a figure, JSON."""
+"""The output of commands about many runs: their provenance, and a result as a table, JSON and a figure."""
 
 import json
 import sys
@@ -39,14 +39,14 @@ def adding_to(folder: Path) -> Iterator["Store"]:
     from desim.study.store.store import Store
 
     with storing(folder), Store(folder / STORE) as store:
-        before = len(store)
+        stored_before = len(store)
         yield store
         performed = f"{counted(store.added, 'run')} performed"
-        echo(f"{performed}, {before:,} already stored; store: {folder / STORE}", err=True)
+        echo(f"{performed}, {stored_before:,} already stored; store: {folder / STORE}", err=True)
 
 
 def record_command(store: "Store", into: Path, *made: Any, **more: Any) -> None:
-    """Record how the runs of a store are performed: the command in the store, the rest in a file of its folder `into`.
+    """Record how the runs of a store are performed: the command in the store, the provenance in the folder `into`.
 
     The other arguments are those of `desim.results.provenance.document`.
     """

@@ -1,4 +1,4 @@
-"""From a scenario file and the options of a command to a scenario; an invalid one ends the program."""
+"""The scenario of a command: a file, changed by options such as --set. An invalid scenario ends the program."""
 
 from pathlib import Path
 from shlex import quote
@@ -24,8 +24,8 @@ def source_of(
 ) -> "tuple[Source, Scenario]":
     """Return the source of a scenario file and its scenario, with the values of --metric, --grid and --design.
 
-    Modules and files that it names are looked up in `folder`; None: that of the file. Print warnings, and end the
-    program if the scenario is invalid; see `valid`.
+    Modules and files that the scenario names are looked up in `folder`; None: the folder of `file`. Print warnings, and
+    end the program if the scenario is invalid; see `valid`.
     """
     from desim.scenario.overrides import ScenarioError
     from desim.scenario.toml import looked_up_in, read_source
@@ -46,7 +46,10 @@ def source_of(
 
 
 def added_metrics(metric: str) -> tuple[str, ...]:
-    """Return the metric of -y if it is to be added to those of a scenario, which are built in or named by its file."""
+    """Return the metrics that -y adds to those of a scenario: its metric if it is installed or MODULE:FUNCTION.
+
+    Any other metric is a built-in one, or the scenario file names it.
+    """
     from desim.scenario.named_metrics import installed_metrics
 
     return (metric,) if ":" in metric or metric in installed_metrics() else ()
@@ -84,6 +87,7 @@ def _instead_of(file: Path) -> str:
         return f"; an example: `desim examples {file.stem}` writes {file.stem}.toml, which then can be run"
     beside = [path.name for path in file.parent.glob("*.toml")] if file.parent.is_dir() else []
     if file.parent.is_dir() and file.suffix != ".toml":
+        # A name without a suffix is that of a folder.
         beside += [path.name for path in file.parent.iterdir() if path.is_dir() != bool(file.suffix)]
     return did_you_mean(file.name, beside) or did_you_mean(file.stem, beside)
 
@@ -94,7 +98,7 @@ def _of_results(file: Path) -> str:
     if file.suffix == ".toml" or not any((folder / name).exists() for name in (TRACE, STORE)):
         return ""
     scenario = folder / "scenario.toml"
-    is_record = file.name == "run.json" and (folder / TRACE).exists()  # that of a sweep is not repeated by `desim run`
+    is_record = file.name == "run.json" and (folder / TRACE).exists()  # `desim run` repeats runs, and no sweeps
     how = f"run --from {quote(str(file))}` repeats the run" if is_record else f"plot {quote(str(folder))}` draws them"
     beside = f"; their scenario is {scenario}" if scenario.exists() else ""
     return f"{file}: belongs to the results in the folder {folder}, and is no scenario{beside}; `desim {how}"
@@ -151,7 +155,7 @@ def valid(source: "Source") -> "Scenario":
     if scenario.record.metrics:
         from desim.analysis.measuring import users_metrics
 
-        for k in range(len(scenario.record.metrics)):
+        for k in range(len(scenario.record.metrics)):  # so that the last of the metrics is the one with an error
             try:
                 users_metrics(scenario.record.metrics[: k + 1])
             except ValueError as error:
@@ -173,9 +177,9 @@ def protocol_of(text: str, option: str) -> Any:
     from desim.scenario.toml import validate
 
     folder, name = Path(), text
-    file, colon, inner = text.rpartition(":")
+    file, colon, attribute = text.rpartition(":")
     if colon and file.endswith(".py"):
-        folder, name = Path(file).parent, f"{Path(file).stem}:{inner}"
+        folder, name = Path(file).parent, f"{Path(file).stem}:{attribute}"
     source = Source(option, {}, Scenario, folder=folder, allow_import=is_import_allowed())
     try:
         source.override(f"protocol={name}", f"{option} {text}")

@@ -35,11 +35,14 @@ if TYPE_CHECKING:
     from desim.study.sweeps.sweep_plan import SweepPlan
 
 DESIM = (sys.executable, "-P", "-m", "desim")
-"""The words that call desim on another machine, which has the same environment under the same path."""
+"""The words that call desim on another machine, which has the same environment under the same path.
+
+-P keeps modules of the working directory from being imported in place of installed ones.
+"""
 
 
 def _slurm_text(form: str, pattern: str, wanted: str) -> Parsed:
-    """Return the type of a text that Slurm reads: it would refuse one of another form after the sweep is prepared."""
+    """Return the type of an option for Slurm; a wrong text is refused here, before the sweep is prepared."""
 
     def parse(text: str) -> str:
         if not re.fullmatch(pattern, text, re.ASCII):
@@ -115,14 +118,15 @@ def submit(
     with storing(folder):
         job = _job(folder, plan, parts, claim)
         _check_stores(job, plan, folder, mix_versions=mix_versions)
-        missing = _missing(job, plan, folder, shown_metrics(scenario, metrics, SHOWN))
+        unfinished = _unfinished_parts(job, plan, folder, shown_metrics(scenario, metrics, SHOWN))
         states = array_job.states(job.jobs)
-        numbers = [part for part in missing if part not in states]
+        to_submit = [part for part in unfinished if part not in states]
         merge = [*DESIM, "merge", *as_words({"--mix-versions": mix_versions})]
-        if not numbers:
+        if not to_submit:
             where, merging = shlex.quote(str(folder)), shlex.join(merge[len(DESIM) :])
-            live = f"all parts that are not done wait or run; `desim status {where}` says how far they are"
-            echo(live if missing else f"all parts are done; to merge them: desim {merging} {where}/part-* -o {where}")
+            waiting = f"all parts that are not done wait or run; `desim status {where}` says how far they are"
+            done = f"all parts are done; to merge them: desim {merging} {where}/part-* -o {where}"
+            echo(waiting if unfinished else done)
             return
         options = {
             "-n": runs,
@@ -135,29 +139,34 @@ def submit(
             "--allow-import": is_import_allowed(),
         }
         resources = array_job.Resources(time=time, cpus=cpus, memory=memory, options=sbatch)
-        _write_scripts(job, folder, ["sweep", str(file), *as_words(options)], merge, numbers, resources)
-        _submit(job, folder, f"{counted(len(numbers), 'part')} of {parts}", is_run=is_run)
+        _write_scripts(job, folder, ["sweep", str(file), *as_words(options)], merge, to_submit, resources)
+        _submit(job, folder, f"{counted(len(to_submit), 'part')} of {parts}", is_run=is_run)
 
 
 def _job(folder: Path, plan: "SweepPlan", parts: int, claim: bool) -> "ArrayJob":
-    """Return the job of a folder, new or as it was submitted; end the program if it was cut in another way."""
+    """Return the job of a folder, with the numbers of its jobs in Slurm if it was submitted before.
+
+    End the program if it was submitted with other parts.
+    """
     from desim.study.sweeps.array_job import ArrayJob
 
     wanted = ArrayJob(name=plan.base.name, runs=plan.runs, parts=parts, claim=claim)
     try:
-        before = ArrayJob.read(folder)
+        submitted = ArrayJob.read(folder)
     except ValueError as error:
         fail(str(error))
-    if before is None:
+    if submitted is None:
         return wanted
-    if not claim and (before.parts, before.claim) != (parts, claim):
-        how = f"--array {before.parts}{' --claim' if before.claim else ''}"
+    if not claim and (submitted.parts, submitted.claim) != (parts, claim):  # parts that claim runs may be added
+        how = f"--array {submitted.parts}{' --claim' if submitted.claim else ''}"
         fail(f"{folder}: was submitted with {how}, whose parts have other runs: give that, or another folder (-o)")
-    return ArrayJob(name=wanted.name, runs=wanted.runs, parts=max(parts, before.parts), claim=claim, jobs=before.jobs)
+    return ArrayJob(
+        name=wanted.name, runs=wanted.runs, parts=max(parts, submitted.parts), claim=claim, jobs=submitted.jobs
+    )
 
 
 def _check_stores(job: "ArrayJob", plan: "SweepPlan", folder: Path, *, mix_versions: bool) -> None:
-    """Raise StoreError if the stores in a folder are of another sweep, before its parts wait in a queue to say so."""
+    """Raise StoreError if the stores in a folder are of another sweep: parts would find out only after the queue."""
     from desim.config.file_names import STORE
     from desim.study.store.store import Store
 
@@ -167,8 +176,8 @@ def _check_stores(job: "ArrayJob", plan: "SweepPlan", folder: Path, *, mix_versi
                 plan.check(store, mix_versions=mix_versions)
 
 
-def _missing(job: "ArrayJob", plan: "SweepPlan", folder: Path, metrics: Sequence[str]) -> list[int]:
-    """Return the numbers of the parts that have runs to do."""
+def _unfinished_parts(job: "ArrayJob", plan: "SweepPlan", folder: Path, metrics: Sequence[str]) -> list[int]:
+    """Return the numbers of the parts that have runs to do; of parts that claim runs, one for each lot that is left."""
     from desim.study.store.store import Store
     from desim.study.sweeps.array_job import CLAIMS
     from desim.study.sweeps.claims import Claims
@@ -194,15 +203,24 @@ def _write_scripts(
     folder: Path,
     words: Sequence[str],
     merge: Sequence[str],
-    numbers: Sequence[int],
+    to_submit: Sequence[int],
     resources: "Resources",
 ) -> None:
-    """Write the scripts of some parts and of the merge, a folder for their outputs, and the record of the job."""
+    """Write the scripts of some parts and of the merge, a folder for their outputs, and the record of the job.
+
+    Args:
+        job: the job.
+        folder: the folder of the sweep.
+        words: the arguments of desim in a part.
+        merge: the command that merges the parts.
+        to_submit: the numbers of the parts.
+        resources: what each part needs.
+    """
     from desim.study.sweeps import array_job
 
     made_by = shlex.join(["desim", *sys.argv[1:]]).replace("\n", " ")
     scripts = {
-        array_job.PART_SCRIPT: array_job.part_script(job, folder, [*DESIM, *words], made_by, numbers, resources),
+        array_job.PART_SCRIPT: array_job.part_script(job, folder, [*DESIM, *words], made_by, to_submit, resources),
         array_job.MERGE_SCRIPT: array_job.merge_script(job, folder, merge, made_by, resources),
     }
     (folder / array_job.LOGS).mkdir(parents=True, exist_ok=True)
