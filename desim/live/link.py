@@ -23,7 +23,7 @@ from desim.live.wire import CYCLE, Parcel, Wire, datagram_number
 
 _new = tuple.__new__  # creates a named tuple in a third of the time
 MAX_KEPT = 100_000
-"""Number of datagrams about which a node remembers what it may have to report."""
+"""Largest number of transmissions, and of outcomes, that a node keeps until it reports them."""
 REMEMBERED = 4096
 """Number of datagrams of a sender whose numbers a node remembers, to recognise a replay."""
 MAX_AHEAD = 5_000_000_000
@@ -34,6 +34,7 @@ class SentDatagram(NamedTuple):
     """A transmission as its sender knows it."""
 
     t: int
+    """ns"""
     dst: tuple[int, ...]
     causes: dict[int, Cause]
     """The causes of the losses that are known at transmission, by receiver."""
@@ -64,7 +65,7 @@ class Drops(NamedTuple):
 
     malformed: int = 0
     foreign: int = 0
-    """From an address that is not that of the node that it names."""
+    """From an address other than that of the node that the datagram names."""
     replayed: int = 0
 
 
@@ -83,10 +84,10 @@ class SocketLinkLayer(LinkLayer):
         draws: whether losses and latencies are drawn; if not, the links are real.
 
     Attributes:
-        departures: what has been sent since they were last taken, at most the last `MAX_KEPT`.
-        outcomes: what has become of what has arrived, likewise.
+        departures: the transmissions since the last report, at most `MAX_KEPT`.
+        outcomes: the fates of datagrams that have arrived since the last report, at most `MAX_KEPT`.
         drops: the numbers of dropped datagrams.
-        errors: by how much each delivery was later than its time, ns, of the last `MAX_KEPT`.
+        errors: the delays of the last `MAX_KEPT` deliveries behind their times, ns.
         trusts_stamps: whether the stamps of records, which are by the clocks of their sources, show the true time.
     """
 
@@ -121,12 +122,12 @@ class SocketLinkLayer(LinkLayer):
         """Send a transmission to each of its receivers that it can reach."""
         _, src, created, size, receivers, content, port, reachable, to_one = transmission
         self._log.start(transmission)
-        for hear in self._listeners:
-            hear(content, LOST)
+        for listener in self._listeners:
+            listener(content, LOST)  # the sender does not know when the message arrives
         datagram = self._wire.encode(content, port, size, to_one=to_one, now=self._env.now)
         causes: dict[int, Cause] = {} if reachable else dict.fromkeys(receivers, "out_of_range")
-        apart = None if self._fault_state is None else self._fault_state.separated(src, receivers)
-        causes |= {node: cause for node, cause in zip(receivers, apart or (), strict=bool(apart)) if cause}
+        if self._fault_state is not None and (separated := self._fault_state.separated(src, receivers)):
+            causes |= {node: cause for node, cause in zip(receivers, separated, strict=True) if cause}
         self.departures.append(SentDatagram(self._env.now, tuple(receivers), causes, created, datagram))
         self._post(datagram, [node for node in receivers if node not in causes] if causes else receivers)
 
@@ -137,7 +138,7 @@ class SocketLinkLayer(LinkLayer):
 
         Args:
             datagram: its bytes.
-            sender: the node with the address from which it came; None: none has it.
+            sender: the node at the address from which the datagram came; None: no node is there.
             now: when it arrived, ns, not before the present of the clock; None: now.
         """
         now, drops = self._env.now if now is None else now, self.drops
@@ -158,7 +159,7 @@ class SocketLinkLayer(LinkLayer):
             self.drops = drops._replace(replayed=drops.replayed + 1)
         else:
             start = parcel.start
-            if parcel.port is FRAMES:  # of a message that was sent long ago
+            if parcel.port is FRAMES:  # the start of a frame is known modulo `CYCLE`
                 start += max(now + MAX_AHEAD - start, 0) // CYCLE * CYCLE
             start = min(start, now) if self.trusts_stamps or not is_record else now
             self._deliver(parcel, len(datagram), start, now)
@@ -198,7 +199,7 @@ class SocketLinkLayer(LinkLayer):
 
     def _drawn(self, src: int, start: int, size: int) -> tuple[int, Cause]:
         """Draw the arrival time, ns, of a datagram that was transmitted at a time, and the cause of its loss, or ""."""
-        # Both are drawn, also if the message is lost, as where it is sent.
+        # The latency is drawn even if the message is lost, as in a simulation.
         me, sampler = self._me, self._sampler
         arrival = sampler.arrivals(src, me, start, 0, size)
         lost = sampler.losses(src, me, start, size)

@@ -23,9 +23,9 @@ LOCAL = "127.0.0.1"
 JOINING = 60.0
 """Time in which the processes of this machine should have joined, s."""
 HOSTS = 600.0
-"""Time in which those of other hosts should have joined, s."""
+"""Time in which processes of other hosts should have joined, s."""
 BACKLOG = 1 << 20
-"""Bytes of frames that a pursuer has not read above which it gets no new one."""
+"""Largest number of unread bytes with which a pursuer still gets frames."""
 
 
 class LiveError(RuntimeError):
@@ -42,7 +42,8 @@ class Lobby:
         lose: called with a pursuer whose process was lost during the run, and how it ended.
 
     Attributes:
-        errors: what the protocols have raised.
+        errors: the exceptions of protocols, as text.
+        is_over: whether the run is over, so that a process may leave.
     """
 
     def __init__(
@@ -86,10 +87,10 @@ class Lobby:
         self._distant = [
             pursuer for pursuer, host in enumerate(self._hosts) if not namespaces[pursuer] and not _is_local(host)
         ]
-        home = _address_towards(self._hosts[self._distant[0]]) if self._distant else LOCAL
+        own_host = _address_towards(self._hosts[self._distant[0]]) if self._distant else LOCAL
         loop = asyncio.get_running_loop()
-        self._server = await loop.create_server(self._welcome, home, 0)
-        referee = home, int(self._server.sockets[0].getsockname()[1])
+        self._server = await loop.create_server(self._welcome, own_host, 0)
+        referee = own_host, int(self._server.sockets[0].getsockname()[1])
         starts = [
             PursuerStart(referee, self._token, pursuer, seed, host, draws, namespaces[pursuer])
             for pursuer, host in enumerate(self._hosts)
@@ -113,14 +114,14 @@ class Lobby:
                 pursuer.lines.write(line)
 
     async def reports(self, limit: float) -> list[int]:
-        """Wait until all pursuers have reported their last; return those that have not within a limit, s."""
+        """Wait for the last report of each pursuer; return the pursuers that have not sent it within a limit, s."""
         with suppress(LiveError):
             await self._until(lambda: not self._missing(), limit, ends_matter=False)
         self.is_over = True
         return self._missing()
 
     def close(self) -> None:
-        """Close all connections; processes that are still there end then."""
+        """Close all connections, which ends the processes that are still there."""
         self.is_over = True
         if hasattr(self, "_server"):
             self._server.close()
@@ -139,7 +140,7 @@ class Lobby:
         """Wait until a condition about all pursuers holds.
 
         Raises:
-            LiveError: if it does not within a limit, s, or, if that matters, a process has ended.
+            LiveError: if the condition does not hold within a limit, s; or if a process ends and `ends_matter`.
         """
         try:
             async with asyncio.timeout(limit):
@@ -157,7 +158,7 @@ class Lobby:
     # Connections.
 
     def _welcome(self) -> Lines:
-        """Return the end of a connection of a process that has yet to say who it is."""
+        """Return this end of the connection of a process that has yet to name its pursuer."""
         lines = Lines(lambda *words: self._admit(lines, *words))
         self._connections.append(lines)
         return lines
@@ -210,7 +211,7 @@ class Lobby:
         self._changed.set()
 
     async def _tell_loss(self, pursuer: int) -> None:
-        """Tell how the process of a pursuer ended, once the nursery has told it."""
+        """Tell how the process of a pursuer ended, once the nursery has told its status; wait 0.2 s at most."""
         for _ in range(20):
             if pursuer in self._statuses or pursuer in self._distant:
                 break
@@ -227,7 +228,7 @@ class _Pursuer:
     is_done: bool = False
     """Whether it has reported its last, or was lost."""
     loss: asyncio.Task[None] | None = None
-    """Tells how it was lost."""
+    """The call of `_tell_loss`; asyncio does not keep a task alive by itself."""
 
 
 def ending(status: int | None) -> str:
@@ -249,9 +250,9 @@ def _is_local(host: str) -> bool:
 def _address_towards(host: str) -> str:
     """Return the address of this machine in the network of a host."""
     try:
-        there = resolved((host, 9))
-        with socket.socket(family_of(there), socket.SOCK_DGRAM) as probe:
-            probe.connect(there)
+        target = resolved((host, 9))  # of UDP, `connect` sends nothing: any port will do
+        with socket.socket(family_of(target), socket.SOCK_DGRAM) as probe:
+            probe.connect(target)
             return str(probe.getsockname()[0])
     except OSError as error:
         raise LiveError(f"{host}: no way leads there: {error.strerror or error}") from error

@@ -80,13 +80,13 @@ class Node:
         on_action: called with each action that the protocol chooses.
 
     Raises:
-        TypeError: if it is not a scenario; the message says what to write instead.
+        TypeError: if `scenario` is no scenario; the message says what to write instead.
         ValueError: if the scenario cannot run live, has no such pursuer, or `on_action` takes no action.
 
     Attributes:
         pursuer: see above.
         trace: the events of this node, but not its messages.
-        link: its link layer, with what has been sent, received and dropped.
+        link: the link layer of the node, with what it has sent, received and dropped.
     """
 
     def __init__(
@@ -107,8 +107,9 @@ class Node:
             raise ValueError(f"draws should be True or False (got {value_text(draws)})")
         if on_action is not None:
             check_argument(on_action, ("action",), "on_action")
-        self._opened = ExitStack()
-        scenario = self._opened.enter_context(fresh_copy(scenario))
+        self._fresh = ExitStack()
+        """Ends the use of a fresh copy of the scenario, whose objects may have state."""
+        scenario = self._fresh.enter_context(fresh_copy(scenario))
         self.pursuer, self._on_action = pursuer, on_action
         self._horizon = nanoseconds(scenario.horizon)
         self._env = env = Clock()
@@ -123,7 +124,7 @@ class Node:
         """
         self._datagrams: Datagrams | None = None
         self._family: int = socket.AF_UNSPEC
-        """The family of the address of its socket."""
+        """The family of the address of the node's socket."""
         self._mailbox: Mailbox | None = None
         self._peers: list[Address] = []
         self._mailboxes: list[Address] = []
@@ -152,25 +153,25 @@ class Node:
         built = make_network(env, scenario, state, seed, self.trace, link_layer, positions=self._positions)
         network, clocks, faults = built
         self._network = network
-        announced: Any = DisseminationTraits.of(scenario.announce.dissemination).transport
-        network.listen({} if announced is None else {ANNOUNCEMENTS: announced})
+        transport: Any = DisseminationTraits.of(scenario.announce.dissemination).transport
+        network.listen({} if transport is None else {ANNOUNCEMENTS: transport})
         self.link.trusts_stamps = not is_skewed(scenario.network_faults)
         if isinstance(sync := scenario.clocks.sync, TwoWay):
             synchroniser = Synchroniser(env, network, clocks, sync, seed, self.trace, nodes=[me])
-            synchroniser.answered = self._wire.answered  # t3 travels in the answer
+            synchroniser.answered = self._wire.answered  # the datagram of an answer has the time t3, too
         self._view = View(state, scenario.prune)
         global_state = GlobalState(state, scenario.prune, self._set_action)
         agents, judges = make_agents(env, scenario, seed, built, [self._view] * state.size, global_state, self.trace)
         team = TeamProcesses(env, scenario, _CrashingRobot(self), {me: agents[me]}, judges, None, None)
         inject(faults, env, network, crashed=team.crashed, recovered=team.recovered)
         team.begin()
-        # Use them once now: the first use imports and computes, and would be late during the run.
+        # The first use of these imports and computes; during the run, it would delay the timers.
         _, _ = agents[me].latency, agents[me].mean_degree
         as_sent(agents[me].announcement())
         return agents[me]
 
     def _set_action(self, pursuer: int, action: int) -> None:
-        """Let the pursuer act otherwise, as its protocol has decided."""
+        """Let the pursuer perform the action that its protocol has chosen."""
         action = possible_action(self._view, pursuer, action)
         self._mirror.orders += 1
         if action != self._state.profile[pursuer]:
@@ -188,19 +189,19 @@ class Node:
 
         Args:
             address: its own host and port; port 0: a free one.
-            peers: (N,) the addresses of all pursuers, in order; this one's own is not used.
+            peers: (N,) the addresses of all pursuers, in order; the address of this pursuer is not used.
             now: returns the time since the start of the run, ns, which all nodes should have in common; None: this node
                 starts now. See docs/howto/live.md, "Clocks".
 
         Raises:
             ValueError: if an address is not a host and a port, or `now` does not return an integer; see also `connect`.
             OSError: if the address cannot be used.
-            RuntimeError: if it has been opened before.
+            RuntimeError: if the node has been opened before.
             BaseException: what the protocol raises.
         """
         if self.clock is not None:
             raise RuntimeError("a node runs once: create another one")
-        with self._opened:
+        with self._fresh:
             _check_time(now)
             self._family = family_of(checked_address(address))
             if peers:
@@ -221,8 +222,8 @@ class Node:
     def bind_mailbox(self, bound: socket.socket) -> Address | None:
         """Take records at another socket, which does not wake the event loop; return its address.
 
-        Return None, and close the socket, if a process of the clock may have to see a record at once, or the system
-        does not tell when a datagram arrived.
+        Return None, and close the socket, if a process may have to see a record as soon as it arrives, or if the system
+        does not stamp datagrams on arrival.
         """
         if self.link.delivery.is_certain:
             with suppress(OSError):
@@ -236,12 +237,12 @@ class Node:
 
         Args:
             peers: the addresses of their sockets.
-            mailboxes: where they take records; None, or nothing: at the same sockets.
+            mailboxes: the addresses at which they take records; None, or missing: those of `peers`.
 
         Raises:
             ValueError: if an address is not a host and a port, two are equal, or there are more or fewer addresses than
                 pursuers.
-            OSError: if a host is not known, or has no address of the family, IPv4 or IPv6, of its own socket.
+            OSError: if a host is not known, or has no address of the family, IPv4 or IPv6, of the node's socket.
         """
         addresses = [checked_address(peer) for peer in peers]
         if len(peers) != self._state.size:
@@ -252,7 +253,7 @@ class Node:
             peer if number == self.pursuer else resolved(peer, self._family) for number, peer in enumerate(addresses)
         ]
         self._number_of = {peer: number for number, peer in enumerate(self._peers)}
-        if len(self._number_of) < len(self._peers):  # datagrams from there would be those of one of them
+        if len(self._number_of) < len(self._peers):  # the sender of a datagram would not be known
             raise ValueError(f"peers should be different addresses (got {value_text(peers)})")
         self._mailboxes = [box or peer for box, peer in zip_longest(mailboxes, self._peers)]
 
@@ -305,8 +306,8 @@ class Node:
     def arrived(self, datagram: bytes, address: Address) -> None:
         """Take a datagram from the socket.
 
-        If nothing is left to decide about a record when it arrives (`is_certain`), it does not wake the clock. It is
-        read with later ones when the clock goes on: a quarter of the cost of one at a time.
+        If nothing is left to decide about a record when it arrives (`is_certain`), it does not wake the clock. The
+        clock reads all such records together when it goes on, which takes a quarter of the time.
         """
         clock = self.clock
         self._unread.append((datagram, self._number_of.get(address), None if clock is None else clock.now()))
@@ -318,12 +319,12 @@ class Node:
         """Hand the datagrams that have arrived to the link layer."""
         assert self.clock is not None
         unread, self._unread = self._unread, []
-        now, begin = self.clock.now(), self._env.now  # a clock that begins in the future is below 0 at first
+        now, earliest = self.clock.now(), self._env.now  # the wall clock is below 0 until the run starts
         for datagram, sender, when in unread:
-            self.link.receive(datagram, sender, max(now if when is None else when, begin))
+            self.link.receive(datagram, sender, max(now if when is None else when, earliest))
         if self._mailbox is not None:
             for datagram, address, age in self._mailbox.read():
-                self.link.receive(datagram, self._number_of.get(address), max(now - age, begin))
+                self.link.receive(datagram, self._number_of.get(address), max(now - age, earliest))
 
     # The robot: positions in, actions and velocities out.
 
@@ -356,8 +357,8 @@ class Node:
 
         Raises:
             ValueError: if an argument has another shape, or is not finite; if there are no teammates although
-                `announce.payload` is "action"; or if players of the scenario have inertia: how fast they are and where
-                they head is not told.
+                `announce.payload` is "action"; or if players of the scenario have inertia: their velocities and
+                headings would have to be told, too.
         """
         state, scenario = self._state, self._scenario
         for key, players in (("team", [scenario.team]), ("evader", scenario.evaders)):
@@ -366,18 +367,18 @@ class Node:
                     f"{key}.dynamics: capture times with inertia follow from how fast a player is, which a node of your"
                     ' own is not told; take "simple"'
                 )
-        here = _points("position", position, 2).item()
+        place = _points("position", position, 2).item()
         team = None if teammates is None else _points("teammates", teammates, state.size, 2)
-        seen = _points("evaders", evaders, state.evader_count, 2)
-        moving = None if velocities is None else _points("velocities", velocities, state.evader_count, 2)
+        evader_places = _points("evaders", evaders, state.evader_count, 2)
+        evader_velocities = None if velocities is None else _points("velocities", velocities, state.evader_count, 2)
         if team is None and state.size > 1 and self._agent.senses_others:
             raise ValueError(
                 "teammates should be the positions of all pursuers: with announce.payload = 'action' a pursuer senses"
                 " where its teammates are; a robot that does not needs 'time' or 'state'"
             )
-        self._meet(partial(self._sense, here, team, seen, moving))
+        self._meet(partial(self._sense, place, team, evader_places, evader_velocities))
 
-    def _sense(self, here: complex, team: Points | None, seen: Points, moving: Points | None) -> None:
+    def _sense(self, place: complex, team: Points | None, evaders: Points, velocities: Points | None) -> None:
         """Let the players be where they are now; for the arguments see `sense`."""
         state, now = self._state, self._env.now
         places = state.players.positions().copy()
@@ -385,12 +386,12 @@ class Node:
         commands = np.zeros_like(places)
         if team is not None:
             places[: state.size] = team
-        places[self.pursuer], places[state.size :] = here, seen
-        if moving is not None:
-            commands[state.size :] = moving
+        places[self.pursuer], places[state.size :] = place, evaders
+        if velocities is not None:
+            commands[state.size :] = velocities
         end = min(now + nanoseconds(self._scenario.motion.step), self._horizon)
-        pairs = zip(seen.tolist(), commands[state.size :].tolist(), strict=True)
-        segments = [segment_list(TrackSegment(now, place, place, velocity, end)) for place, velocity in pairs]
+        pairs = zip(evaders.tolist(), commands[state.size :].tolist(), strict=True)
+        segments = [segment_list(TrackSegment(now, evader, evader, velocity, end)) for evader, velocity in pairs]
         frame = frame_of(state, [self._mirror.orders] * state.size)
         self._mirror.follow(frame._replace(places=hex_digits(places), commands=hex_digits(commands), segments=segments))
 
@@ -419,7 +420,7 @@ class Node:
         return [velocity.real, velocity.imag]
 
     def _meet(self, act: Callable[[], object] = lambda: None) -> None:
-        """Let something happen now; before the start, at time 0."""
+        """Call a function as an event of the present; before the start, at time 0."""
         if self.clock is None:
             act()
         else:
@@ -456,14 +457,14 @@ class _CrashingRobot:
 
 
 class _ToldPositions(PursuerPositions):
-    """The positions of pursuers, which move as frames or their robots tell; those of teammates may not be told.
+    """The positions of pursuers, as frames or robots tell them; a robot may not tell those of its teammates.
 
     Args:
         state: the state of the world.
-        pursuer: the pursuer whose own position is always told.
+        pursuer: the pursuer of this node, whose position is always told.
 
     Attributes:
-        are_told: whether those of its teammates are told.
+        are_told: whether the positions of its teammates are told.
     """
 
     def __init__(self, state: WorldState, pursuer: int):

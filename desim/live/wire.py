@@ -69,7 +69,7 @@ ADMITTED: tuple[Container[type[Any]], ...] = (
     {Accusation},
     {TimeRequest, TimeAnswer},
 )
-"""The bodies that are sent at each port."""
+"""The bodies that are sent at each port, in the order of `PORTS`."""
 ANNOUNCED = {Assignment, TimedAssignment, LocatedAssignment, MovingAssignment, Claim, StampedClaim}
 """The bodies of records."""
 MAX_NODES = 1 << 9
@@ -85,8 +85,8 @@ MAX_ANSWERED = 4096
 """Number of answers of clock synchronisation whose t3 is remembered until they are delivered."""
 _new = tuple.__new__  # creates a named tuple in a third of the time
 _HEADER, _PAIR = Struct(">IIq"), Struct(">II")
-_PLACES = {port: place for place, port in enumerate(PORTS)}
-_NUMBERS = {body: number for number, body in enumerate(BODIES)}
+_PORT_NUMBERS = {port: number for number, port in enumerate(PORTS)}
+_BODY_NUMBERS = {body: number for number, body in enumerate(BODIES)}
 
 
 class Kind(IntEnum):
@@ -135,7 +135,7 @@ class Wire:
     def __init__(self, nodes: int, evaders: int, bodies: OwnBodies):
         if nodes > MAX_NODES:
             raise WireError(f"at most {MAX_NODES} nodes can run live (got {nodes})")
-        self._nodes, self._own = nodes, bodies
+        self._nodes, self._own_bodies = nodes, bodies
         limits: dict[str, tuple[NumberRange, ...]] = {
             **{"active": ((0, evaders),), "winners": ((-1, nodes - 1),)},
             **{"hop": ((0, MAX_COUNT),), "hops": ((1, MAX_COUNT),)},
@@ -157,12 +157,12 @@ class Wire:
         return cls(scenario.team.count, len(scenario.evaders), OwnBodies(*models))
 
     def encode(self, content: Record | Message, port: str, size: int, *, to_one: bool, now: int = 0) -> bytes:
-        """Return the datagram of a record or a message, which has `size` bytes and is transmitted now, ns.
+        """Return the datagram of a record or a message that is transmitted now, ns.
 
-        Only the datagram of a body of a user has another number of bytes. A node can number 2^32 messages.
+        The datagram has `size` bytes, or more if the body is one of a user. A node can number 2^32 messages.
 
         Raises:
-            WireError: if its body has no layout, or not the layout that was counted.
+            WireError: if the body has no layout, or its layout has another size.
         """
         body, head, attempt = content.body, b"", 0
         if isinstance(content, Record):
@@ -178,16 +178,17 @@ class Wire:
             if isinstance(frame, Acknowledgement):
                 head += _bits(frame, size - HEADER - NUMBER)
             port, to_one = frame.port, not frame.to_all
-        place, packed = _PLACES.get(port), self._body_of(body)
-        admitted = ANNOUNCED if kind in OF_RECORD else ADMITTED[place or 0]
-        if place is None or packed is None or (body is not None and type(body) not in admitted):
-            number, data = OWN, self._own.pack(port, body)
+        port_number, packed = _PORT_NUMBERS.get(port), self._body_of(body)
+        admitted = ANNOUNCED if kind in OF_RECORD else ADMITTED[port_number or 0]
+        if port_number is None or packed is None or (body is not None and type(body) not in admitted):
+            body_number, data = OWN, self._own_bodies.pack(port, body)
             size = max(size, HEADER + len(head) + len(data))
         else:
-            number, data = packed
-        word = MARK | content.src << 22 | (place or 0) << 17 | to_one << 16 | kind << 13 | number << 8 | attempt & 0xFF
+            body_number, data = packed
+        word = MARK | content.src << 22 | (port_number or 0) << 17 | to_one << 16 | kind << 13
+        word |= body_number << 8 | attempt & 0xFF
         datagram = _HEADER.pack(word, seq, content.stamp) + head + data
-        if len(datagram) > size or (len(datagram) < size and number != OWN):
+        if len(datagram) > size or (len(datagram) < size and body_number != OWN):
             raise WireError(f"{type(body).__name__} counts {counted(size, 'byte')}, and has {len(datagram)}")
         if size > LARGEST:
             raise WireError(f"{type(body).__name__} has {counted(size, 'byte')}; a datagram has at most {LARGEST}")
@@ -222,12 +223,12 @@ class Wire:
         """Return the number and the bytes of a body; None if it has no layout."""
         if body is None:
             return NOTHING, b""
-        number = _NUMBERS.get(type(body))
+        number = _BODY_NUMBERS.get(type(body))
         if number is None:
             return None
         numbers, records = self._layouts[number].flat(body)
         if isinstance(body, TimeRequest):
-            numbers += [0, 0]
+            numbers += [0, 0]  # a request has as many bytes as its answer
         elif isinstance(body, TimeAnswer):
             numbers.append(self.answered.get(body, 0))
         data = self._layouts[number].pack(numbers)
@@ -253,24 +254,26 @@ class Wire:
 
     def _decode(self, datagram: bytes) -> Parcel:
         word, seq, stamp = _HEADER.unpack_from(datagram)
-        src, place, to_one, kind = word >> 22 & 0x1FF, word >> 17 & 0x1F, bool(word >> 16 & 1), KINDS[word >> 13 & 7]
+        src, port_number = word >> 22 & 0x1FF, word >> 17 & 0x1F
+        to_one, kind = bool(word >> 16 & 1), KINDS[word >> 13 & 7]
         if not word & MARK or src >= self._nodes or abs(stamp) > MAX_INTEGER:
             raise ValueError("not a header")
-        unique, number, port = word << 32 | seq, word >> 8 & 0x1F, PORTS[place]
-        if kind is Kind.RECORD and number in self._announced:  # most datagrams, in two thirds of the time
-            body = self._announced[number].read(datagram, HEADER, self._records)
+        unique, body_number, port = word << 32 | seq, word >> 8 & 0x1F, PORTS[port_number]
+        if kind is Kind.RECORD and body_number in self._announced:  # most datagrams, in two thirds of the time
+            body = self._announced[body_number].read(datagram, HEADER, self._records)
             return _new(Parcel, (unique, src, stamp, _new(Record, (src, seq, stamp, body)), "", to_one))
-        if number < NOTHING and BODIES[number] not in (ANNOUNCED if kind in OF_RECORD else ADMITTED[place]):
+        admitted = ANNOUNCED if kind in OF_RECORD else ADMITTED[port_number]
+        if body_number < NOTHING and BODIES[body_number] not in admitted:
             raise ValueError("a body at a wrong port")
         delay, second, at = 0, 0, HEADER
         if kind > Kind.MESSAGE:
             delay, second = _PAIR.unpack_from(datagram, at)
             at += NUMBER
         body = None
-        if number == OWN:
-            port, body = self._own.unpack(datagram[at:])
+        if body_number == OWN:
+            port, body = self._own_bodies.unpack(datagram[at:])
         elif kind is not Kind.ACKNOWLEDGEMENT:
-            body = self._read(number, datagram, at)
+            body = self._read(body_number, datagram, at)
         if kind is Kind.RECORD:
             return Parcel(unique, src, stamp, Record(src, seq, stamp, body), "", to_one)
         if kind is Kind.MESSAGE:
@@ -283,7 +286,7 @@ class Wire:
         return Parcel(unique, src, stamp + delay * MICROSECOND, Message(src, stamp, frame), FRAMES, to_one)
 
     def _read(self, number: int, data: bytes, at: int) -> Any:
-        """Return the body with a number in a header, after some bytes."""
+        """Return the body with a number, which begins at an index of the data."""
         if number == NOTHING:
             if len(data) > at:
                 raise ValueError("bytes after the end")
