@@ -41,12 +41,12 @@ class Row(NamedTuple):
     difference: Estimate
     """Live minus simulated, paired by seed."""
     margin: float
-    """What the lateness of actions explains: of a time, the sum of the times by which changes of actions took effect
-    late, in the mean of the runs; else 0."""
+    """The part of the difference that late actions explain: of a metric in s, the mean over the runs of the summed
+    lateness of all changes of actions; of any other metric, 0."""
 
     @property
     def errors(self) -> float:
-        """The difference in standard errors, less the margin; infinite if it is the same in all pairs, and not 0."""
+        """The difference beyond the margin, in standard errors; infinite if it is the same in all pairs."""
         if not self._beyond:
             return 0.0
         error = self.difference.standard_error
@@ -54,7 +54,7 @@ class Row(NamedTuple):
 
     @property
     def agrees(self) -> bool:
-        """Whether the difference, less the margin, is not told apart from 0; see `FALSE_ALARMS`."""
+        """Whether the difference beyond the margin cannot be told apart from 0; see `FALSE_ALARMS`."""
         return not replace(self.difference, mean=self._beyond).excludes_0(CONFIDENCE)
 
     @property
@@ -78,7 +78,7 @@ class Agreement:
 
     @property
     def p99(self) -> float:
-        """The 99th percentile of the lateness of all timers, s."""
+        """The 99th percentile of the lateness of the timers of all runs, s."""
         return self.late("timers").p99
 
     def late(self, name: LateKind) -> Lateness:
@@ -94,13 +94,13 @@ class Agreement:
     def rows(self) -> list[Row]:
         """The metrics, live and simulated."""
         live, simulated = [list(map(summary, results)) for results in (self.live, self.simulated)]
-        orders = [late for result in self.live for late in result.conduct.orders]
-        margin = portable_sum(orders) / SECOND / len(self.live)
+        orders = [lateness for result in self.live for lateness in result.conduct.orders]
+        margin_of_times = portable_sum(orders) / SECOND / len(self.live)
         rows = []
         for name in SHOWN:
             first, second = [[getattr(run, name) for run in runs] for runs in (live, simulated)]
-            late = margin if (unit := METRICS[name].unit) == "s" else 0.0
-            rows.append(Row(name, unit, mean(first), mean(second), paired(first, second), late))
+            margin = margin_of_times if (unit := METRICS[name].unit) == "s" else 0.0
+            rows.append(Row(name, unit, mean(first), mean(second), paired(first, second), margin))
         return rows
 
     @property

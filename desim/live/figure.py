@@ -15,14 +15,14 @@ from desim.simulation.run import Result
 SIZE = 6.3, 2.6
 """inches"""
 GRID = 400
-"""Number of times."""
+"""Number of points of a curve over time."""
 
 
 def agreement_figure(agreement: Agreement) -> Figure:
     """Draw live and simulated runs side by side.
 
-    On the left is the mean number of pursuers that chase, over time; a run that has ended counts with none. On the
-    right, each point is a seed; without any difference, all would be on the diagonal.
+    On the left is the mean number of pursuers that chase, over time; after its end a run counts as 0. On the right, the
+    active time: each point is a seed; without any difference, all points would be on the diagonal.
     """
     both: dict[str, Sequence[Result]] = {"live": agreement.live, "simulated": agreement.simulated}
     with styled(SIZE) as figure:

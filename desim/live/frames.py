@@ -93,12 +93,12 @@ class Mirror:
         state.broken[frame.broken] = True
         for body, segment in zip(state.bodies, frame.segments, strict=True):
             last = segment_list(getattr(body.path, "last", None))
-            if segment and segment != last and segment[:1] >= last[:1]:
+            if segment and segment != last and segment[:1] >= last[:1]:  # which begins no earlier than the last
                 body.path.see(*_segment_of(segment))
         self._act(frame)
 
     def set_action(self, action: int) -> None:
-        """Let the pursuer itself act otherwise from now on."""
+        """Let the pursuer itself perform an action from now on."""
         profile = list(self.state.profile)
         profile[self._pursuer] = action
         self._replace(profile)

@@ -1,4 +1,4 @@
-"""Layouts: the numbers of a body in a datagram, from the annotations of its fields; see `desim.live.wire`."""
+"""Layouts of message bodies: fields as numbers of a datagram, by their annotations; see `desim.live.wire`."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from enum import Enum, auto
@@ -48,7 +48,7 @@ class FieldLayout(NamedTuple):
     end: int
     """Index after its last number; of places, the length of the list."""
     limits: NumberRange | None
-    """Those of a list or of places."""
+    """The limits of the items of a list or of places; those of numbers of a fixed count are in the layout."""
 
 
 class Layout:
@@ -70,13 +70,14 @@ class Layout:
         self._bounds: list[tuple[int, int, int]] = []
         """Index, least and greatest value of numbers of a fixed count."""
         for name in body._fields:
-            form, here = _form_of(hints[name], lengths.get(name))
-            begin, end, bounds = len(format_), len(format_) + len(here), limits.get(name, ())
-            format_ += here
-            of_numbers = bounds if len(bounds) > 1 else [*bounds] * len(here)
-            self._bounds += [(begin + k, *limits) for k, limits in enumerate(of_numbers)]
-            own_limits = bounds[0] if bounds and not here else None
-            self._parts.append(FieldLayout(form, begin, lengths[name] if form is FieldForm.PLACES else end, own_limits))
+            form, field_format = _form_of(hints[name], lengths.get(name))
+            begin, end, bounds = len(format_), len(format_) + len(field_format), limits.get(name, ())
+            format_ += field_format
+            number_limits = bounds if len(bounds) > 1 else [*bounds] * len(field_format)
+            self._bounds += [(begin + k, *limits) for k, limits in enumerate(number_limits)]
+            item_limits = bounds[0] if bounds and not field_format else None
+            end = lengths[name] if form is FieldForm.PLACES else end
+            self._parts.append(FieldLayout(form, begin, end, item_limits))
         self._struct, self._fixed = Struct(">" + format_), len(format_)
         self.size = self._struct.size
         forms = {part.form for part in self._parts}
@@ -115,11 +116,11 @@ class Layout:
 
         Args:
             data: the bytes.
-            at: the number of bytes before it.
-            records: reads the records in the rest of some bytes.
+            at: the index at which the body begins.
+            records: reads the records at the end of the data.
 
         Raises:
-            ValueError: if they are not those of such a body.
+            ValueError: if the bytes are not those of such a body.
         """
         numbers = self._struct.unpack_from(data, at)
         if self._has_floats and any(map(isnan, numbers)):
@@ -182,7 +183,7 @@ def _rest(data: bytes, records: Callable[[bytes], Iterator[Record]]) -> tuple[li
 
 
 def _placed(items: list[int], length: int) -> tuple[int | None, ...]:
-    """Return a list in which each item is at its place, and others are missing."""
+    """Return a list in which each item is at its place; the other places hold None."""
     places: list[int | None] = [None] * length
     for item in items:
         places[item >> PLACE] = item & ((1 << PLACE) - 1)

@@ -10,7 +10,7 @@ LONGEST = 1 << 26
 
 
 class Lines(asyncio.Protocol):
-    """One end of a connection; a protocol of asyncio, because a stream takes half as long again for each line.
+    """One end of a connection. It is a protocol of asyncio, because a stream takes 1.5 times as long for each line.
 
     Args:
         hear: called with each line, a word and values.
@@ -32,7 +32,7 @@ class Lines(asyncio.Protocol):
         self._transport = cast("asyncio.Transport", transport)
 
     def data_received(self, data: bytes) -> None:
-        """Hand on each line that is complete; close the connection of a stranger, who sends something else."""
+        """Hand on each complete line; close the connection of a stranger, who sends something that is no such line."""
         *lines, self._rest = (self._rest + data).split(b"\n")
         for line in lines:
             try:

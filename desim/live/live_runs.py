@@ -19,7 +19,7 @@ from desim.live.result import LiveResult
 from desim.scenario.scenario import Scenario
 
 LinkKind = Literal["drawn", "namespaces", "netem"]
-"""How the links are made: drawn by the receivers, on the loopback or between network namespaces, or by netem."""
+"""How the links are made: drawn by the receivers, without or between network namespaces, or by netem."""
 
 
 @naming_arguments
@@ -68,7 +68,7 @@ def runs(
         hosts: as in `run`.
         links: as in `run`.
         tell: as in `run`.
-        finished: called with each result as soon as it is there.
+        finished: called with each result at the end of its run.
 
     Raises:
         ValueError: as `run`.
@@ -166,7 +166,7 @@ def _run(play: Callable[[], Any]) -> Any:
         Thread(target=run_there).start()
         return outcome.result()
     except BaseException:
-        if not running.cancel():  # a coroutine that has not begun fails to tell that it runs
+        if not running.cancel():  # if cancelled, it makes a coroutine that has not begun fail
             loop, task = running.result()
             with suppress(RuntimeError):  # it has just ended
                 loop.call_soon_threadsafe(task.cancel)

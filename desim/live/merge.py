@@ -16,8 +16,8 @@ from desim.results.run_folder import EVENTS
 
 UNREAD: Cause = "socket"
 """The cause of the loss of a datagram that its receiver has never read."""
-WORLD, OWN, MESSAGE, LOSS, LAST = range(5)
-"""The order of simultaneous events: of the world, of the pursuers, of messages, and the positions at the end."""
+WORLD, PURSUER, MESSAGE, LOSS, LAST = range(5)
+"""The order of simultaneous events: of the world, of pursuers, of messages, losses, and the positions at the end."""
 
 
 class _Fate(NamedTuple):
@@ -43,7 +43,7 @@ class Logs:
         self._wire = wire
         self._departures: list[tuple[int, SentDatagram]] = []
         self._fates: defaultdict[int, dict[tuple[int, bool], DatagramFate]] = defaultdict(dict)
-        """By number, which has the sender in it: by receiver, and whether it is of a copy."""
+        """By the number of a datagram, which includes its sender: by receiver, and whether it is the fate of a copy."""
         self._lines: list[str] = []
         self.crashed: dict[int, int] = {}
         self.transports: list[TransportCounts] = []
@@ -71,7 +71,7 @@ class Logs:
         *world, ended = world
         end = ended.t
         rows = [(event.t, LAST if event.t == end and isinstance(event, Sampled) else WORLD, event) for event in world]
-        rows += [(event.t, OWN, event) for event in events_of(self._lines, EVENTS) if event.t <= end]
+        rows += [(event.t, PURSUER, event) for event in events_of(self._lines, EVENTS) if event.t <= end]
         sizes: list[int] = []
         sent = [event for transmission in self._transmissions(end, sizes) for event in transmission]
         counts = _counts(end, sent, sizes)
@@ -95,12 +95,12 @@ class Logs:
                 for node in sent.dst
             }
             copies = {node: self._after_crash(fate) for (node, is_copy), fate in reported.items() if is_copy}
-            for several in (fates, copies) if copies else (fates,):
+            for by_node in (fates, copies) if copies else (fates,):
                 sizes.append(len(sent.datagram))
-                yield _events(next(numbers), src, sent, content, several, end)
+                yield _events(next(numbers), src, sent, content, by_node, end)
 
     def _last_read(self) -> dict[tuple[int, int], int]:
-        """Return when the last datagram that was read was sent, ns, by sender and receiver."""
+        """Return, by sender and receiver, the transmission time of the last datagram that was read, ns."""
         last: dict[tuple[int, int], int] = {}
         for src, sent in self._departures:
             for node, _ in self._fates[sent.number]:
@@ -113,7 +113,7 @@ class Logs:
             return _Fate(LOST, sent.causes[node])
         if node in self.crashed:
             return _Fate(LOST, "crash")
-        # One that was still in the socket at the end has no successor; one that was lost in between has.
+        # If a later datagram was read, this one was lost; else it was still in the socket at the end.
         return _Fate(LOST, UNREAD) if sent.t < last_read else _Fate(end + 1, "")
 
     def _after_crash(self, fate: DatagramFate) -> _Fate:

@@ -30,14 +30,14 @@ class Places(NamedTuple):
     """Where the pursuers of a run listen."""
 
     namespaces: list[str]
-    """(N,)"""
+    """(N,) names; "": the namespace of the caller."""
     hosts: list[str]
     """(N,) addresses."""
 
 
 @contextmanager
 def within_namespace(namespace: str) -> Iterator[None]:
-    """Create sockets in the network namespace of a name; no name ("") means the namespace of the process.
+    """Put the sockets that are created in this context into a network namespace; "" is that of the process.
 
     A socket stays in its namespace, so that one process can have sockets in two.
     """
@@ -67,18 +67,18 @@ def namespaces(scenario: Scenario, *, netem: bool) -> Iterator[Places]:
         netem: whether the interfaces get the commands of `desim netem` for the links of the scenario.
 
     Raises:
-        NamespaceError: if they cannot be created, or this system has no netem, or netem cannot express the links.
+        NamespaceError: if namespaces cannot be created, this system has no netem, or netem cannot express the links.
     """
     size, prefix = scenario.team.count, f"desim-{os.getpid()}"
     names = [f"{prefix}-{pursuer}" for pursuer in range(size)]
     # One network /16 in a private range that few others use: 65,534 addresses, from 10.213.0.1 on.
     hosts = [f"10.213.{(pursuer + 1) >> 8}.{(pursuer + 1) & 0xFF}" for pursuer in range(size)]
     commands, tables = _netem_commands(scenario) if netem else ([], {})
-    made: list[str] = []
+    created: list[str] = []
     try:
         for name in [prefix, *names]:
             _ip("netns", "add", name)
-            made.append(name)
+            created.append(name)
         _ip("-n", prefix, "link", "add", "bridge", "type", "bridge")
         _ip("-n", prefix, "link", "set", "bridge", "up")
         for pursuer, (name, host) in enumerate(zip(names, hosts, strict=True)):
@@ -90,7 +90,7 @@ def namespaces(scenario: Scenario, *, netem: bool) -> Iterator[Places]:
             _shape(name, commands, tables)
         yield Places(names, hosts)
     finally:
-        for name in made:  # a veth goes with its namespace, and the bridge with the first
+        for name in created:  # the interfaces of a namespace, and the bridge in the first one, are removed with it
             subprocess.run(["ip", "netns", "del", name], check=False, capture_output=True)
 
 
@@ -98,7 +98,7 @@ def _netem_commands(scenario: Scenario) -> tuple[list[str], Mapping[str, tuple[i
     """Return the commands of `desim netem`, and the tables that they name.
 
     Raises:
-        NamespaceError: if netem does not express the links, or a link has models of its own.
+        NamespaceError: if netem does not express the links, or some links have other models.
     """
     commands = script(scenario.network, scenario.team.count, DEVICE, scenario.wall)
     lines = [line for line in commands.lines if line and not line.startswith("#")]

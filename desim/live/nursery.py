@@ -30,8 +30,10 @@ POLL = 0.05
 """Time between two looks for children that have ended, s."""
 PR_SET_PDEATHSIG = 1
 OnEnd = Callable[[int, int | None], object]
-"""A function called with a pursuer whose process has ended, and its status as of `os.waitstatus_to_exitcode`; None: it
-is not known, because the nursery has ended before."""
+"""A function called with a pursuer whose process has ended, and with the status of the process.
+
+The status is that of `os.waitstatus_to_exitcode`; None: it is not known, because the nursery has ended before.
+"""
 
 
 class Nursery:
@@ -90,7 +92,7 @@ class Nursery:
         self._tell_lost()
 
     def _tell_lost(self) -> None:
-        """Tell that the processes of which the nursery has not told the end are lost."""
+        """Tell that the remaining processes are lost: the nursery has ended, and their status is not known."""
         while self._alive:
             run, pursuer = min(self._alive)
             self._alive.remove((run, pursuer))
@@ -129,7 +131,7 @@ def _serve(numbers: dict[int, tuple[int, int]]) -> bool:
     from desim.live.node import Node
     from desim.live.pursuer import play
 
-    with suppress(Exception):  # which the pursuers raise again
+    with suppress(Exception):  # each pursuer raises the exception again, and tells it
         Node(scenario, starts[0].pursuer, starts[0].seed)  # imports what all need, once
     for start in starts:
         if (child := os.fork()) == 0:

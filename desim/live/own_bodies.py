@@ -33,14 +33,19 @@ class OwnBodies:
     """
 
     def __init__(self, *models: Any):
-        around = [item for model in models for item in _names_around(model).items()]
-        names = {name: kind for name, kind in around if _is_body(kind)}
-        self._classes: dict[str, type[Any]] = names | {"Record": Record, "Forwarded": Forwarded}
+        named = [item for model in models for item in _names_around(model).items()]
+        bodies = {name: value for name, value in named if _is_body(value)}
+        self._classes: dict[str, type[Any]] = bodies | {"Record": Record, "Forwarded": Forwarded}
         self._names = {kind: name for name, kind in self._classes.items()}
+        # If a class has several names in the module, such as that of an alias, its own one is sent.
         self._names |= {kind: kind.__name__ for name, kind in self._classes.items() if kind.__name__ == name}
 
     def pack(self, port: str, body: Any) -> bytes:
-        """Return a port and a body as bytes, which begin with their number."""
+        """Return a port and a body as bytes, of which the first four are their length.
+
+        Raises:
+            WireError: if the body has something that cannot be sent.
+        """
         with naming_extras():
             from msgspec import msgpack
         try:
@@ -51,7 +56,7 @@ class OwnBodies:
         return _LENGTH.pack(len(data)) + data
 
     def unpack(self, data: bytes) -> tuple[str, Any]:
-        """Return a port and a body, the inverse of `pack`."""
+        """Return a port and a body, the inverse of `pack`; raise ValueError if the bytes are not those of a body."""
         try:
             from msgspec import MsgspecError, msgpack
         except ModuleNotFoundError as problem:
@@ -85,7 +90,11 @@ class OwnBodies:
         )
 
     def _parts(self, value: Any) -> Iterable[Any]:
-        """Return the items of a named tuple, or the fields of a dataclass, which has nothing else."""
+        """Return the items of a named tuple, or the fields of a dataclass.
+
+        Raises:
+            WireError: if a dataclass has a field without a value, or an attribute that is no field.
+        """
         if isinstance(value, tuple):
             return value
         names = [field.name for field in fields(value)]

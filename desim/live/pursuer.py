@@ -21,7 +21,7 @@ from desim.scenario.scenario import Scenario
 REPORTS = 0.25
 """Time between two reports of what has happened, s; what was not reported by a process that is killed is lost."""
 SILENCE = 1.0
-"""Time without a frame after which a pursuer tells that the referee stalls, s."""
+"""Time without a frame after which a pursuer prints that the referee is silent, s."""
 GIVE_UP = 30.0
 """Time without a frame after which a pursuer ends, s."""
 LEAVING = 2.0
@@ -47,13 +47,14 @@ class _Pursuer:
         self._start, self._begin, self._offset = start, 0, 0
         self._node = Node(scenario, start.pursuer, start.seed, draws=start.draws, on_action=self._order)
         self._heard = self._reported = 0.0
+        """The times of the last line of the referee and of the last report, s, by the clock of the event loop."""
         self._is_told = False
-        """Whether it has told that the referee stalls."""
+        """Whether the pursuer has printed that the referee is silent."""
 
     async def play(self) -> int:
         """Join the run, and play until it is over."""
-        start, heard = self._start, asyncio.Queue[Any]()
-        self._lines = lines = Lines(lambda *words: heard.put_nowait(words), lambda: heard.put_nowait(("gone",)))
+        start, received = self._start, asyncio.Queue[Any]()
+        self._lines = lines = Lines(lambda *words: received.put_nowait(words), lambda: received.put_nowait(("gone",)))
         try:
             await asyncio.get_running_loop().create_connection(lambda: lines, *start.referee)
         except OSError as error:
@@ -66,19 +67,19 @@ class _Pursuer:
         addresses = self._node.bind(here), self._node.bind_mailbox(mailbox)
         lines.tell("hello", start.pursuer, start.token, start.scenario, addresses)
         while True:
-            match await heard.get():
+            match await received.get():
                 case "start", addresses, shares_clock:
                     try:
-                        self._offset = 0 if shares_clock else await self._measured_offset(heard)
+                        self._offset = 0 if shares_clock else await self._measured_offset(received)
                     except ConnectionError:
                         return LOST_REFEREE
                     peers, mailboxes = zip(*addresses, strict=True)
-                    # Before others may send.
+                    # Datagrams may arrive once all are ready: the node then has to know from whom.
                     self._node.connect([*map(tuple, peers)], [box and tuple(box) for box in mailboxes])
                     lines.tell("ready")
                 case "begin", begin:
                     self._begin = begin
-                    return await self._run(heard)
+                    return await self._run(received)
                 case "refused", why:
                     self._tell(why)
                     return ALONE
@@ -88,34 +89,33 @@ class _Pursuer:
     def _tell(self, text: str) -> None:
         print(f"pursuer {self._start.pursuer}: {text}", file=sys.stderr)
 
-    async def _measured_offset(self, heard: "asyncio.Queue[Any]") -> int:
-        """Return by how much the clock of the referee is ahead, ns: that of the fastest of several exchanges.
+    async def _measured_offset(self, received: "asyncio.Queue[Any]") -> int:
+        """Return by how much the clock of the referee is ahead, ns, as the fastest of several exchanges shows it.
 
         Raises:
-            ConnectionError: if the connection ends, or something else comes in between.
+            ConnectionError: if the connection ends, or a line comes that is no answer.
         """
-        best = (1 << 62, 0)
+        fastest = (1 << 62, 0)  # the duration of an exchange and the offset that it shows, ns
         for _ in range(EXCHANGES):
             sent = monotonic_ns()
             self._lines.tell("ping")
-            answer = await heard.get()
-            back = monotonic_ns()
+            answer = await received.get()
+            end = monotonic_ns()
             if answer[0] != "pong":
                 raise ConnectionError
-            there = answer[1]
-            best = min(best, (back - sent, there - (sent + back) // 2))
-        return best[1]
+            fastest = min(fastest, (end - sent, answer[1] - (sent + end) // 2))
+        return fastest[1]
 
     # The run.
 
-    async def _run(self, heard: "asyncio.Queue[Any]") -> int:
+    async def _run(self, received: "asyncio.Queue[Any]") -> int:
         """Play until the run is over; return the exit code."""
         node, spent = self._node, process_time()
         self._heard = self._reported = asyncio.get_running_loop().time()
         running = asyncio.create_task(node.run(lambda: monotonic_ns() + self._offset - self._begin))
         self._lines.hear, self._lines.lost = self._take, node.stop
-        while not heard.empty():
-            self._take(*heard.get_nowait())
+        while not received.empty():
+            self._take(*received.get_nowait())
         watching = asyncio.create_task(self._watch())
         try:
             await running
@@ -142,7 +142,7 @@ class _Pursuer:
             self._node.stop()
 
     async def _watch(self) -> None:
-        """Tell if the referee falls silent, and end if it stays so."""
+        """Print if the referee falls silent, and end the process if the silence lasts."""
         while True:
             await asyncio.sleep(SILENCE / 4)
             silent = asyncio.get_running_loop().time() - self._heard
@@ -177,7 +177,7 @@ class _Pursuer:
 
 
 def told(error: BaseException) -> str:
-    """Return an exception of a protocol as text, with the calls that are not in desim."""
+    """Return an exception of a protocol as text, with the calls outside of `LIBRARIES`."""
     calls = [
         (frame, line)
         for frame, line in walk_tb(error.__traceback__)

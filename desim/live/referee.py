@@ -37,7 +37,7 @@ LEAD = 0.05
 LINGER = 2.0
 """Time in which the pursuers should have reported at the end, s."""
 STALL = 0.5
-"""Lateness of a timer of the referee, s, above which a note of the result says that it stalled."""
+"""Lateness of a timer of the referee, s, above which a note of the result says that the referee stalled."""
 
 
 class Referee:
@@ -102,7 +102,7 @@ class Referee:
     # The run.
 
     def _prepare(self, scenario: Scenario) -> None:
-        """Create the world, and plan the faults: those of robots happen here, those of radios at the pursuers, too."""
+        """Create the world, and plan the faults: those of robots happen here, those of radios also at the pursuers."""
         self._env = env = Clock()
         self._end, self._trace = end, trace = RunEnd(env), Trace([self._watch])
         self._state = state = initial_state(env, scenario, self._seed)
@@ -128,7 +128,7 @@ class Referee:
         Instant(self._env, self._env.now, Phase.SAMPLE + 1).callbacks.append(self._send_frame)
 
     def _watch(self, event: Event) -> None:
-        """Show at once what a pursuer could not foresee."""
+        """Send a frame of an event that pursuers cannot foresee."""
         if isinstance(event, Captured | BrokeDown):
             self._send_frame_soon()
 
@@ -157,7 +157,7 @@ class Referee:
     # The pursuers.
 
     def _hear(self, pursuer: int, word: str, *values: Any) -> None:
-        """Take a line of a pursuer."""
+        """Process a line of a pursuer."""
         if word == "order":
             self._meet(partial(self._obey, pursuer, *values))
         elif word == "report":
@@ -190,7 +190,7 @@ class Referee:
         return self._end.outcome
 
     def _result(self, clock: WallClock, missing: list[int]) -> LiveResult:
-        """Merge all events."""
+        """Return the result: the events of all processes, merged, and how the run went."""
         conduct = self._conduct
         conduct.notes += [f"pursuer {pursuer} has not reported within {LINGER:g} s of the end" for pursuer in missing]
         conduct.lateness = dict(sorted(conduct.lateness.items()))

@@ -1,4 +1,4 @@
-"""What cannot run live: each reason as a sentence."""
+"""The scenarios that cannot run live: each reason as a sentence."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -18,11 +18,7 @@ class NotLiveError(ValueError):
 
 
 def check_live(scenario: Scenario) -> None:
-    """Raise an error if a scenario cannot run live.
-
-    Raises:
-        NotLiveError: if it cannot; the message has the key and the reason.
-    """
+    """Raise NotLiveError, whose message has the key and the reason, if a scenario cannot run live."""
     for key, why in reasons(scenario):
         raise NotLiveError(f"{key} cannot run live: {why}")
 
@@ -74,7 +70,7 @@ def _of_network(scenario: Scenario) -> Iterator[tuple[str, str]]:
 
 
 def _transports(scenario: Scenario) -> Iterator[tuple[str, Any]]:
-    """Yield the transports of a scenario that are asked to do anything, by their keys."""
+    """Yield the transports of a scenario that do more than hand messages to the links, by their keys."""
     if not scenario.network.transport.is_plain:
         yield "network.transport", scenario.network.transport
     announced = DisseminationTraits.of(scenario.announce.dissemination).transport

@@ -21,7 +21,7 @@ class Conduct:
 
     Attributes:
         lateness: by process, the pursuers and "referee", how late its timers were.
-        timers: the same of all processes together, ns.
+        timers: how late each timer of all processes was, ns.
         deliveries: how much later than its time each message was delivered, ns.
         orders: how long after its decision each change of an action has taken effect, ns.
         cpu: by process, the pursuers and "referee", the processor time of the run, s; of the referee, that of all runs
@@ -52,7 +52,7 @@ class Conduct:
         return Drops(*(portable_sum(counts) for counts in zip(*self.drops.values(), strict=True)))
 
     def document(self) -> dict[str, object]:
-        """Return it as JSON types."""
+        """Return how the run went as JSON types."""
         all_late = {name: Lateness.of(getattr(self, name))._asdict() for name in get_args(LateKind)}
         lateness = {str(name): late._asdict() for name, late in self.lateness.items()}
         drops = {str(pursuer): counts._asdict() for pursuer, counts in self.drops.items()}

@@ -59,23 +59,23 @@ def udp_socket(address: Address) -> socket.socket:
 
 
 def resolved(address: Address, family: int = socket.AF_UNSPEC) -> Address:
-    """Return an address with the number of its host, from which datagrams come, in the place of its name.
+    """Return an address with the IP address of its host in place of a name, as the sender of a datagram is known.
 
     Args:
         address: the address.
-        family: the family of the number, that of the socket which sends to it: a name may have one of each.
+        family: the family of the IP address, that of the sending socket: a name may have an address of each family.
 
     Raises:
-        OSError: if the host is not known, has no number of the family, or stands for all addresses of a machine.
+        OSError: if the host is not known, has no address of the family, or stands for all addresses of a machine.
     """
     host, port = address
     try:
-        number, *_ = socket.getaddrinfo(host, port, family, socket.SOCK_DGRAM)[0][4]
+        ip, *_ = socket.getaddrinfo(host, port, family, socket.SOCK_DGRAM)[0][4]
     except (OSError, UnicodeError) as error:
         raise OSError(f"the host {host!r} is not known: {getattr(error, 'strerror', None) or error}") from None
-    if ip_address(str(number).partition("%")[0]).is_unspecified:
+    if ip_address(str(ip).partition("%")[0]).is_unspecified:
         raise OSError(f"{host} stands for all addresses of a machine: should be one of them")
-    return str(number), int(port)
+    return str(ip), int(port)
 
 
 class Datagrams:
@@ -122,7 +122,7 @@ class Datagrams:
 class Mailbox:
     """The datagrams that arrive at a socket, and stay there until they are read.
 
-    No process wakes for them, which takes most of the time of a datagram. The system notes when each arrives.
+    No process wakes for a datagram, which would take most of its time. The system stamps each on arrival.
 
     Args:
         bound: the socket.
@@ -135,19 +135,21 @@ class Mailbox:
         if TIMESTAMP is None:
             raise OSError("this system stamps no datagrams")
         bound.setsockopt(socket.SOL_SOCKET, TIMESTAMP, 1)
-        self._socket, self._looked = bound, time.monotonic_ns()
+        self._socket, self._last_read = bound, time.monotonic_ns()
         self.address: Address = bound.getsockname()[:2]
 
     def read(self) -> list[tuple[bytes, Address, int]]:
-        """Return the datagrams since the last time, the addresses from which they came, and their ages, ns."""
-        now, day = time.monotonic_ns(), time.time_ns()
-        longest, self._looked = now - self._looked, now  # the clock of the day may have been set
+        """Return the datagrams since the last read, the addresses from which they came, and their ages, ns."""
+        now, system_time = time.monotonic_ns(), time.time_ns()
+        # Stamps are in system time, which may have been set: an age is at most the time since the last read.
+        longest, self._last_read = now - self._last_read, now
         taken: list[tuple[bytes, Address, int]] = []
         with suppress(BlockingIOError):  # there are no more
             while len(taken) < MAX_TAKEN:
                 datagram, [(_, _, stamp)], _, sender = self._socket.recvmsg(LARGEST, ANCILLARY)
-                whole, rest = _TIMESPEC.unpack(stamp)
-                taken.append((datagram, sender[:2], min(max(day - (whole * SECOND + rest), 0), longest)))
+                seconds, nanoseconds = _TIMESPEC.unpack(stamp)
+                age = system_time - (seconds * SECOND + nanoseconds)
+                taken.append((datagram, sender[:2], min(max(age, 0), longest)))
         return taken
 
     def close(self) -> None:

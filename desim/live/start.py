@@ -1,4 +1,4 @@
-"""What the process of a pursuer is told at its start."""
+"""The start of the process of a pursuer: what it is told, also as a word for the command line of another host."""
 
 from typing import NamedTuple, Self
 
@@ -15,7 +15,7 @@ class PursuerStart(NamedTuple):
 
     referee: Address
     token: str
-    """A secret of the run, with which a process shows that it belongs to it."""
+    """A secret of the run, with which a process shows that it belongs to the run."""
     pursuer: int
     seed: int
     host: str
@@ -25,7 +25,7 @@ class PursuerStart(NamedTuple):
     namespace: str = ""
     """The network namespace in which it listens; empty: its own."""
     scenario: str = ""
-    """The hash of the scenario, its code and its data files, if its process has read it from a file."""
+    """The hash of the scenario, its code and its data files; "" if the referee has sent the scenario."""
 
     def invitation(self) -> str:
         """Return the start as a word for the command line of another host."""

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     import simpy
 
 MAX_KEPT = 1_000_000
-"""Number of latenesses that are kept."""
+"""Largest number of timers whose lateness is kept."""
 
 
 class Lateness(NamedTuple):
@@ -47,7 +47,7 @@ class WallClock:
         env: the clock.
         over: the event after which the clock stops.
         now: returns the time of the wall clock, ns; None: the time since now, by the monotonic clock.
-        before: called before the clock goes on.
+        before: called each time before the clock goes on.
 
     Attributes:
         lateness: how late each timer was, ns.
@@ -77,22 +77,19 @@ class WallClock:
         """Let all events happen that are due, and let the clock show the present time."""
         env, over, now = self._env, self._over, self.now()
         while (due := env.peek()) <= now and not over.processed:
-            if due > env.now and len(self.lateness) < MAX_KEPT:
+            if due > env.now and len(self.lateness) < MAX_KEPT:  # simultaneous events count once
                 self.lateness.append(int(now - due))
             env.advance(int(due), over)
             now = self.now()
         env.advance(now, over)
 
     def wake(self) -> None:
-        """Perform what has been planned since, once the caller has returned."""
+        """Perform or await the events that the caller has planned, once the caller has returned."""
         self._loop.call_soon(self.meet)
 
     def meet(self, act: Callable[[], object] | None = None) -> None:
-        """Let something happen now, after all that is due; nothing, if the clock has stopped.
-
-        It may be called by a process of the clock, too.
-        """
-        if self._is_busy and act is not None:
+        """Perform the events that are due, and then call a function; do nothing if the clock has stopped."""
+        if self._is_busy and act is not None:  # an event of the clock is the caller: the clock shows the present
             act()
         if self._is_busy or self.ended.done():
             return
