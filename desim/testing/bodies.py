@@ -43,7 +43,7 @@ class _Call(NamedTuple):
 def _calls() -> Iterator[_Call]:
     """Yield calls: at rest and moving, commanded to stand still, to move on, to turn, to slow down."""
     rng = np.random.default_rng(1)
-    for command in (0.0, 2.0, 2.0, 1.0):
+    for command in (0.0, 2.0, 2.0, 1.0):  # twice 2 m/s, in different directions
         for speed in (0.0, 1.0, 2.0, 3.0):
             heading, ahead = (rect(1.0, angle) for angle in rng.uniform(-pi, pi, 2))
             position = complex(*rng.uniform(-5.0, 5.0, 2))
@@ -87,10 +87,10 @@ class _Body:
         end = min(piece.curved, 5.0)
         bound = max(abs(command), abs(call.course.velocity))
         for t in (*np.linspace(0.0, end, 9)[1:-1].tolist(), end + 0.5, end + 1.0):
+            if abs(t - piece.curved) <= STEP or t <= STEP:  # a difference across a kink is no derivative
+                continue
             before, velocity, after = piece.velocity_at(t - STEP), piece.velocity_at(t), piece.velocity_at(t + STEP)
             moved = (piece.at(t + STEP) - piece.at(t - STEP)) / (2.0 * STEP)
-            if abs(t - piece.curved) <= STEP or t <= STEP:
-                continue
             require(
                 abs(moved - velocity) <= 1e-3 * (1.0 + bound),
                 f"{call}: after {t:.3g} s the position moves at {moved:.6g} m/s, and velocity_at says {velocity:.6g}",
@@ -114,23 +114,23 @@ class _Body:
     def _check_limit(self, call: _Call, piece: Piece, t: float, rate: float) -> None:
         """Require that a piece keeps the limit that the dynamics name."""
         limits, limit = getattr(self.model, "limits", None), getattr(self.model, "limit", inf)
-        begun = piece.course_at(0.0)
+        initial = piece.course_at(0.0)
         if limits == "acceleration":
             self.tested.require(
-                abs(begun.velocity - call.course.velocity) <= TOLERANCE and rate <= limit * (1.0 + 1e-3),
-                f"{call}: the velocity begins with {begun.velocity:.4g} m/s and changes by {rate:.4g} m/s^2, expected"
+                abs(initial.velocity - call.course.velocity) <= TOLERANCE and rate <= limit * (1.0 + 1e-3),
+                f"{call}: the velocity begins with {initial.velocity:.4g} m/s and changes by {rate:.4g} m/s^2, expected"
                 f" the velocity of the course and at most the limit, {limit:.4g} m/s^2",
             )
         elif limits == "turn rate":
             turned = abs(phase(piece.course_at(t + STEP).heading / piece.course_at(t - STEP).heading)) / (2.0 * STEP)
             self.tested.require(
-                abs(begun.heading - call.course.heading) <= TOLERANCE and turned <= limit * (1.0 + 1e-3),
-                f"{call}: the heading begins with {begun.heading:.4g} and turns by {turned:.4g} rad/s, expected the"
+                abs(initial.heading - call.course.heading) <= TOLERANCE and turned <= limit * (1.0 + 1e-3),
+                f"{call}: the heading begins with {initial.heading:.4g} and turns by {turned:.4g} rad/s, expected the"
                 f" heading of the course and at most the limit, {limit:.4g} rad/s",
             )
 
     def check_joint(self, call: _Call) -> None:
-        """Require that a command that is given again changes nothing: every piece is cut at each motion step."""
+        """Require that a repeated command changes nothing: the motion calls the dynamics again at each motion step."""
         piece = self.piece(call)
         for when in (0.0, 0.3, 0.7):
             cut = _Call(piece.at(when), piece.course_at(when), call.command)
@@ -145,24 +145,24 @@ class _Body:
                 )
 
     def check_rest(self) -> None:
-        """Require that a player that is to stand still comes to rest, and one that stands still does not move."""
+        """Require that a player comes to rest if its command is 0, and then stays at rest."""
         may_coast = coasts(self.model)
         for call in _calls():
             if call.command:
                 continue
             piece = self.piece(call)
-            way, left = abs(piece.at(1.0) - call.position), piece.velocity_at(piece.curved)
+            distance, final = abs(piece.at(1.0) - call.position), piece.velocity_at(piece.curved)
             self.tested.require(
-                call.course.velocity or way <= TOLERANCE,
-                f"{call} moves by {way:.3g} m in 1 s: expected to stay at rest",
+                call.course.velocity or distance <= TOLERANCE,
+                f"{call} moves by {distance:.3g} m in 1 s: expected to stay at rest",
             )
             self.tested.require(
-                abs(left) <= TOLERANCE, f"{call} goes on at {left:.4g} m/s for ever, expected to come to rest"
+                abs(final) <= TOLERANCE, f"{call} goes on at {final:.4g} m/s for ever, expected to come to rest"
             )
             self.tested.require(
-                may_coast or way <= TOLERANCE,
-                f"{call} moves by {way:.3g} m, expected to stop at once as from 1 m/s: a body that coasts does so from"
-                " any speed",
+                may_coast or distance <= TOLERANCE,
+                f"{call} moves by {distance:.3g} m, expected to stop at once as from 1 m/s: a body that coasts does so"
+                " from any speed",
             )
 
     def check_contacts(self) -> None:
@@ -171,7 +171,7 @@ class _Body:
         for call, other in pairwise(_calls()):
             first, second = self.piece(call), self.piece(other)
             gaps = [abs(first.at(t) - second.at(t)) for t in times]
-            # Halfway between the least and the first gap: the circles meet on the way in, and do not only touch.
+            # Halfway between the least and the first gap: at the least gap, the circles would only touch.
             radius = (min(gaps) + gaps[0]) / 2.0
             sampled = next(t for t, gap in zip(times, gaps, strict=True) if gap <= radius * (1.0 + 1e-9))
             contact = first_contact_of_pieces(first, second, radius, 0.0, 5.0)
@@ -205,11 +205,11 @@ class _Body:
         )
 
     def check_capture_times(self) -> None:
-        """Check capture times: their shape and least value, one by one, and against the motion of a head-on chase."""
+        """Check the shape and the lower bounds of capture times, alone and together, and those of a head-on chase."""
         rng = np.random.default_rng(2)
         count = 8
         offsets = rng.uniform(0.5, 8.0, count) * np.exp(1j * rng.uniform(-pi, pi, count))
-        offsets[0] = 0.05
+        offsets[0] = 0.05  # within the capture radius
         headings = np.exp(1j * rng.uniform(-pi, pi, count))
         speeds = np.array([2.0, 0.5, 0.9, 2.0, 3.0, 1.5, 2.0, 1.0])
         courses = Courses(headings * speeds * (np.arange(count) % 2), headings)

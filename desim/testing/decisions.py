@@ -47,8 +47,6 @@ SITUATIONS: dict[str, dict[str, Any]] = {
     "a run in which positions are announced": {"announce": Announcements(payload="state")},
 }
 """Scenarios of five pursuers that differ from the default in one or two keys."""
-
-
 SHARED = (
     "changes the attributes of the object, which all pursuers share, so that they know of each other without a message:"
     " keep what a pursuer remembers in local variables of the generator"
@@ -135,10 +133,11 @@ def check_dissemination(dissemination: Any, *, limit: float = 10.0) -> None:
 
 
 def _check_reach(tested: Subject, limit: float) -> None:
-    """Require that announcements get to teammates, and that the dissemination is then as it was before."""
+    """Require that announcements reach a teammate, and that the run does not change the dissemination."""
     where = f"a run of {HORIZON:g} s without losses"
     reached: set[tuple[int, int]] = set()
-    objects: list[tuple[Any, bytes | None]] = []
+    at_start: list[tuple[Any, bytes | None]] = []
+    """The dissemination that the pursuers share, and its memory."""
 
     def listens(me: Agent) -> Process:
         while True:
@@ -149,7 +148,7 @@ def _check_reach(tested: Subject, limit: float) -> None:
 
     def begins(simulation: Simulation) -> None:
         shared = simulation.agents[0]._announcements.dissemination
-        objects.append((shared, _memory_of(shared)))
+        at_start.append((shared, _memory_of(shared)))
 
     with tested.judged(where, limit):
         run_observed(_scenario(listens, {}, tested.model), SEED, (), begins)
@@ -158,27 +157,27 @@ def _check_reach(tested: Subject, limit: float) -> None:
         f"{where} ends, and no pursuer has a record of another: expected broadcast(me, announcement) to send or publish"
         " it, and the process of a receiver to call me.merge_records(records)",
     )
-    ((shared, memory),) = objects
+    ((shared, memory),) = at_start
     tested.require(_memory_of(shared) == memory, f"{where} {SHARED}")
 
 
 def _check_runs(tested: Subject, protocol: Any, limit: float, dissemination: Any = None) -> None:
-    """Run a protocol in all situations."""
+    """Check the runs of a protocol in all situations, and require that pursuers decide in one of them."""
     watchers: list[_Decisions] = []
 
     def watcher() -> _Decisions:
         watchers.append(_Decisions(tested, ProtocolTraits.of(protocol)))
         return watchers[-1]
 
-    decided, ignores = 0, True
+    decided, may_ignore = 0, True
     situations: dict[str, dict[str, Any]] = {"a run of five pursuers": {}, **SITUATIONS}
     for where, parts in situations.items():
         scenario = partial(_scenario, protocol, parts, dissemination)
         result = twice(tested, where, scenario, limit=limit, watchers=[watcher])
         watchers[-1].judge(where)
         decided += watchers[-1].decided
-        if ignores:
-            ignores = _check_ignored(tested, where, scenario(), result, limit)
+        if may_ignore:  # a protocol that ignores no message in one run is not compared in the next ones
+            may_ignore = _check_ignored(tested, where, scenario(), result, limit)
     tested.require(
         decided,
         f"no pursuer decides within {HORIZON:g} s: expected me.assign(action), and then me.announce(); {SLOW}",
@@ -217,7 +216,7 @@ class _Decisions:
         self.decided = 0
         self._actions: list[int] = []
         self._untold: dict[int, int] = {}
-        """By pursuer, the time of its last change of action, ns, if it has sent nothing since."""
+        """By pursuer that has sent nothing since its last change of action: the time of the change, ns."""
         self._protocol: Any = None
         self._memory: bytes | None = None
 
@@ -261,7 +260,7 @@ class _Decisions:
 
 
 def _process() -> tuple[int | None, Any]:
-    """Return the pursuer whose process is running, and its protocol; None if a function is called at a time."""
+    """Return the pursuer whose process is running, and its protocol; (None, None) if no process is running."""
     frame = inspect.currentframe()
     while frame is not None and frame.f_code is not RestartableProcess._behave.__code__:
         frame = frame.f_back
@@ -287,7 +286,7 @@ def _check_slots(tested: Subject, limit: float) -> None:
     def counts(me: Agent) -> Process:
         def revise() -> None:
             turns.append(me.now)
-            me.assign(1 - me.action)  # a schedule may depend on it: half of the team is active on average
+            me.assign(1 - me.action)  # a schedule may depend on actions: half of the team is active on average
 
         slots.append(slot_length(schedule, me))
         yield from schedule(me, revise)
@@ -298,6 +297,7 @@ def _check_slots(tested: Subject, limit: float) -> None:
     slot, instants = slots[0] if slots else inf, len(set(turns))
     expected = last / slot
     tested.require(turns, f"no pursuer has a turn within {horizon:g} s: call revise() and then me.announce(); {SLOW}")
+    # Simultaneous turns of several pursuers may count as one turn of the team or as several.
     tested.require(
         instants <= 2.0 * expected + 5.0 and len(turns) >= expected / 2.0 - 5.0,
         f"mean_slot(me) of a team of 5 returns {slot:.4g} s, and it has {len(turns)} turns at {instants} instants in"
@@ -305,7 +305,7 @@ def _check_slots(tested: Subject, limit: float) -> None:
     )
 
 
-_HASHED = """
+_PRINT_DIGEST = """
 import sys, cloudpickle
 from hashlib import sha256
 scenario, seed = cloudpickle.loads(sys.stdin.buffer.read())
@@ -323,7 +323,7 @@ def _check_hash_seeds(tested: Subject, scenario: Scenario) -> None:
         environment = os.environ | {"PYTHONHASHSEED": hash_seed, "PYTHONPATH": os.pathsep.join(sys.path)}
         with tested.judged(f"a process with PYTHONHASHSEED={hash_seed}", 120.0):
             ended = subprocess.run(
-                [sys.executable, "-c", _HASHED], input=request, capture_output=True, env=environment, check=False
+                [sys.executable, "-c", _PRINT_DIGEST], input=request, capture_output=True, env=environment, check=False
             )
         tested.require(not ended.returncode, f"a run in another process fails: {ended.stderr.decode()[-300:]}")
         digests.add(ended.stdout)

@@ -18,7 +18,7 @@ from desim.scenario.scenario import Scenario
 from desim.testing.judging import Subject, subject, twice
 
 ROUNDING = 1e-9
-"""Length by which a heading may exceed 1."""
+"""Tolerance of the length of a heading."""
 
 _SITUATIONS: tuple[tuple[str, dict[str, Any], int, int], ...] = (
     ("a run with one pursuer", {}, 1, 1),
@@ -75,7 +75,7 @@ def check_evader(strategy: Any, *, limit: float = 10.0) -> None:
     with tested.judged("strategy(state, rng)", limit):
         for case in map(_Case._make, product((0, 1, 2, 5), (0j, rect(1.0, 0.7)), (False, True), (False, True))):
             _check(tested, case)
-    # A recorded motion begins where its record does.
+    # An evader with a recorded motion begins where its record begins.
     place = {} if hasattr(tested.model, "start") else {"position": (9.0, 8.0)}
     for where, keys, pursuers, evaders in _SITUATIONS:
         players = {"team": Team(count=pursuers), "evader": (Evader(strategy=tested.model, **place, **keys),) * evaders}

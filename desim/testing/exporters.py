@@ -41,7 +41,7 @@ def check_exporter(exporter: Any, *, limit: float = 10.0) -> None:
 
 
 def _refusals(tested: Subject, where: str, parts: dict[str, Any], folder: Path) -> list[str]:
-    """Check the export of one run; return the reason if the exporter refuses it."""
+    """Check two exports of one run; return the reason, in a list, if the exporter refuses the run."""
     result = run(Scenario(**parts), SEED)
     lines = list(map(line_of, result.trace))
     files = [folder / f"{name}{ExporterTraits.of(tested.model).suffix or '.file'}" for name in "ab"]

@@ -30,8 +30,8 @@ def check_fault(fault: Any, *, limit: float = 10.0) -> None:
     """Check a fault, or a plan of faults; if you are unsure whether yours is right, run this.
 
     It checks that a plan draws valid faults, from the generator given only; that a fault names nodes that exist, and
-    that a page can draw it. Each fault then begins and ends in a run of five or more pursuers: with the end no message
-    is lost any more, also if two faults of its kind overlap; and two runs of one scenario and seed are equal.
+    that a page can draw it. Each fault then begins and ends in a run of five or more pursuers: after the end no message
+    is lost, also if two faults of its kind overlap; and two runs of one scenario and seed are equal.
 
     Args:
         fault: an object, a class that needs no parameters besides its start, a plan, a kind, a table or "module:name".
@@ -43,13 +43,13 @@ def check_fault(fault: Any, *, limit: float = 10.0) -> None:
     if isinstance(fault, type) and issubclass(fault, Window):
         fault = fault(start=START, end=END)
     tested = subject(fault, PURSUER_FAULTS, "fault")
-    if isinstance(tested.model, ClockSkew):
+    if isinstance(tested.model, ClockSkew):  # lasts for the whole run, and draws no faults
         _check_runs(tested, (tested.model,), "a run with it", limit)
         return
     drawn = _drawn(tested, limit)
     _check_runs(tested, (tested.model,), "a run with it", limit)
-    kinds = {type(window): window for window in drawn}
-    for window in kinds.values():
+    by_type = {type(window): window for window in drawn}
+    for window in by_type.values():
         first = window.model_copy(update={"start": START, "end": END})
         second = window.model_copy(update={"start": (START + END) / 2.0, "end": END + 0.1})
         name = type(window).__name__
@@ -69,7 +69,7 @@ def _drawn(tested: Subject, limit: float) -> list[Window]:
                 first == second,
                 f"{call} draws {first} and, for an equal rng, {second}: draw from rng only, and remember nothing",
             )
-            for window in first:
+            for window in first:  # a fault that is no plan is not told the number of nodes
                 _check_drawn(tested, window, None if isinstance(tested.model, Window) else size, call)
             faults += first
     return faults

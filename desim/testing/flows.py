@@ -22,7 +22,7 @@ EXTENT = 60.0
 PLACES = 400
 """Number of places."""
 ROUNDING = 1e-9
-"""Relative tolerance of speeds, and of velocities that are asked alone and together."""
+"""Relative tolerance of speeds, and of velocities at one place, asked alone and together with others."""
 STEPS = 2000
 """Number of steps of an integral over time."""
 

@@ -1,4 +1,4 @@
-"""What all checks of models have in common: how a model is given, how it is run twice, and how its error is told."""
+"""The common parts of all checks of models: the model that is checked, its errors, and runs that should be equal."""
 
 import random
 import warnings
@@ -29,7 +29,7 @@ from desim.simulation.watchdog import TimedOut, checked_limit, within
 from desim.testing.pursuits import watched
 
 CHANCE = 5.7e-7
-"""The probability that a mean or a share is said to be off by chance: that of 5 standard errors of many draws."""
+"""The probability of a false alarm about a mean or a share: that of 5 standard errors of many draws."""
 DISTANCE = 2.7
 """Scaled Kolmogorov-Smirnov distance of two samples of one distribution: exceeded 1 time in a million by chance."""
 SEED = 7
@@ -56,7 +56,7 @@ class Subject(NamedTuple):
             self.fail(text)
 
     def blame(self, where: str, error: Exception) -> NoReturn:
-        """Raise the error that says that a call raised another one."""
+        """Raise the error that says that a call raised an error, or broke an invariant; a ContractError stays."""
         if isinstance(error, ContractError):
             raise error
         if isinstance(error, StateWarning):
@@ -84,7 +84,7 @@ class Subject(NamedTuple):
         """Turn every error of a block into one about the model, and compare the global random generators.
 
         Args:
-            where: the call or the situation that the block is.
+            where: the call or the situation of the block.
             limit: the time that the block may take, s of wall time.
         """
         limit = checked_limit(limit)
@@ -117,27 +117,26 @@ def subject(model: Any, family: OneOf, noun: str) -> Subject:
         noun: the noun of the family, for error messages.
 
     Raises:
-        ContractError: if a scenario would refuse it, or it cannot be sent to another process.
+        ContractError: if a scenario would refuse the model, or the model cannot be sent to another process.
     """
     name = model if isinstance(model, str) else model.__name__ if isinstance(model, type) else name_of(model)
-    chosen: Any = create_model("Given", __base__=Value, model=(Annotated[Any, family], ...))
-    made: Any = model
+    holder: Any = create_model("Given", __base__=Value, model=(Annotated[Any, family], ...))
+    instance: Any = model
     try:
-        made = model() if isinstance(model, type) else model
+        instance = model() if isinstance(model, type) else model
         context = {"allow_import": True, "folder": Path.cwd()}
-        checked: Any = chosen.model_validate({"model": made}, context=context)
-        made = checked.model
+        checked: Any = holder.model_validate({"model": instance}, context=context)
+        instance = checked.model
     except ValidationError as error:
-        texts = (_problem(problem) for problem in WORDINGS["call"](error, chosen, {"model": made}))
+        texts = (_problem(problem) for problem in WORDINGS["call"](error, holder, {"model": instance}))
         raise ContractError(f"{name} is not {with_article(noun)}: {'; '.join(texts)}") from error
     except TypeError as error:
         raise ContractError(f"{name} needs parameters, so give an object: {error}") from error
-    tested = Subject(made, name)
     try:
-        cloudpickle.loads(cloudpickle.dumps(made))
+        cloudpickle.loads(cloudpickle.dumps(instance))
     except Exception as error:  # code of an object may raise anything
         raise ContractError(f"{name} cannot be pickled, which the workers of a sweep need: {error}") from error
-    return tested
+    return Subject(instance, name)
 
 
 def _problem(problem: Problem) -> str:
@@ -204,7 +203,7 @@ def are_apart(first: NDArray[Any], second: NDArray[Any]) -> bool:
 def is_off(sample: NDArray[Any], mean: float, tolerance: float) -> bool:
     """Return whether the mean of a sample is off a value by more than 5 standard errors and a tolerance.
 
-    Few draws have as many standard errors more as Student's distribution asks for.
+    For few draws, more standard errors are allowed, by Student's distribution.
     """
     error = float(sample.std(ddof=1)) / sqrt(len(sample))
     errors = t_quantile(len(sample) - 1, 1.0 - CHANCE)

@@ -30,7 +30,7 @@ RADIUS = 5.0
 LIMIT = 60.0
 """Limit of the wall time of the draws, s."""
 FEWEST = 20
-"""Least number of runs from which a share is estimated: those of few may all be equal by chance."""
+"""Least number of runs from which a share is estimated: the shares of fewer runs may all be equal by chance."""
 TOLERANCE = 1e-6
 """Tolerance of mean latencies: relative and, because nodes cannot be in one place, absolute in s."""
 
@@ -54,7 +54,7 @@ class _Links:
             with suppress(ValueError):
                 check(self.nodes, [(src, dst)])
                 linked.append(dst)
-        if not linked:
+        if not linked:  # so that the error of the model is told
             with self.tested.blaming(f"check_links({self.nodes}, links)"):
                 check(self.nodes, [(src, dst) for dst in receivers])
         return linked
@@ -148,7 +148,7 @@ class _Latencies(_Links):
         together, alone = np.empty((draws, len(dst))), np.empty((draws, len(dst)))
         for run in range(draws):
             (together[run],) = self.replies([(0, dst)], run)
-            # Another number of the run would be another seed, and so another latency of a pair.
+            # The number of the run is its seed, on which the latency of a pair may depend: it is the same as above.
             alone[run] = np.concatenate(list(self.replies([(0, [node]) for node in dst], run, step=0.0)))
         for k, node in enumerate(dst):
             both = ~(np.isnan(together[:, k]) | np.isnan(alone[:, k]))
@@ -223,7 +223,7 @@ class _Losses(_Links):
         """Require that a link loses the same, at once and one after the other, whether others are asked with it.
 
         Returns:
-            (draws, 3) the losses of the first message on three links.
+            (draws, k) the losses of the first message on k links, at most three.
         """
         dst = self.targets(0)[:3]
         together, alone = np.empty((2, draws, 2, len(dst)), bool)
@@ -231,12 +231,12 @@ class _Losses(_Links):
             # In another order the second time, so that a state that belongs to a position is found.
             first, second = self.replies([(0, dst), (0, dst[::-1])], run)
             together[run] = first, second[::-1]
-            # Pairs of messages at the same times as above, asked link by link.
+            # The two messages of a link are 0.01 s apart, as above, but each link is asked alone.
             replies = np.concatenate(list(self.replies([(0, [node]) for node in dst * 2], run + draws, step=0.01 / 3)))
             alone[run] = replies.reshape(2, len(dst))
         for k, node in enumerate(dst):
-            for messages, of in (("a first message", (0,)), ("a second message", (1,)), ("both of two", (0, 1))):
-                first, second = (np.asarray(sample[:, of, k].all(axis=1)) for sample in (together, alone))
+            for messages, rows in (("a first message", (0,)), ("a second message", (1,)), ("both of two", (0, 1))):
+                first, second = (np.asarray(sample[:, rows, k].all(axis=1)) for sample in (together, alone))
                 self.tested.require(
                     not are_more(first, second),
                     f"loss(context, rng) from 0 to {node} loses {messages} in {first.mean():.3f} of the runs with"

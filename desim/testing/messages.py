@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
 ON_AIR: Collection[Cause] = frozenset({"collision", "half_duplex", "crash"})
-"""Causes by which a message for whose channel nodes contend is lost before its arrival, besides those of users."""
+"""Causes of losses before the arrival where nodes contend for the channel; causes of users may be of this kind, too."""
 MIN_BATCH = 64
 """Initial limit of the number of unchecked transmissions, above which deliveries are checked.
 
@@ -56,7 +56,7 @@ class Conservation:
         self._waiting: dict[int, set[int]] = {}
         """The remaining receivers of each waiting transmission, by its number."""
         self._queued: set[int] = set()
-        """The numbers of the transmissions that have waited, as all do for which nodes contend."""
+        """The numbers of the transmissions that have waited; where nodes contend, all transmissions wait."""
         self._flying: dict[int, tuple[Broadcast | Sent, dict[int, int]]] = {}
         """By transmission number: its latest event, and the unchecked arrivals by receiver, ns or `LOST`."""
         self._latest: dict[tuple[int, int], int] = {}
@@ -96,7 +96,7 @@ class Conservation:
         if self._fifo:
             self._check_order(event, fates)
         self._sent += len(fates)
-        if event.transmission in self._waiting:
+        if event.transmission in self._waiting:  # receivers that were counted when the transmission was queued
             self._sent -= len(self._waiting[event.transmission] & fates.keys())
             self._wait_no_more(event.transmission, fates)
         if event.transmission in self._flying:
@@ -154,7 +154,7 @@ class Conservation:
         self._faults.remove(event.fault)
 
     def _count(self, event: MessageCounts) -> None:
-        self._settle(event.t + 1)
+        self._settle(event.t + 1)  # the counts include the deliveries of this instant
         in_flight = sum(len(flying) for _, flying in self._flying.values()) + sum(map(len, self._waiting.values()))
         observed = (self._sent, self._delivered, self._lost.total(), in_flight)
         counted = (event.sent, event.delivered, event.lost, event.in_flight)
@@ -273,9 +273,9 @@ class OneToken:
 class OneFrame:
     """A watcher of one run that raises AssertionError if a node receives a frame while another is at it.
 
-    The other frame is one that the node also receives, or one that the node transmits. It holds for the interference
-    model `Collision`; other models let a receiver get the stronger of two frames. Messages that are acknowledged are
-    not watched, because the trace does not have the times of their attempts.
+    The other frame is one that the node also receives, or one that the node transmits. The invariant holds for the
+    interference model `Collision`; other models let a receiver get the stronger of two frames. Messages that are
+    acknowledged are not watched, because the trace does not have the times of their attempts.
 
     Args:
         medium: the medium for which nodes contend.
@@ -313,10 +313,10 @@ class OneFrame:
         ended = [number for number, (_, end, _) in self._frames.items() if now is None or end < now]
         for number in ended:
             event, end, nodes = self._frames[number]
-            for other, (overlapping, stop, also) in self._frames.items():
-                if other != number and max(event.t, overlapping.t) < min(end, stop):
+            for other, (overlapping, other_end, other_nodes) in self._frames.items():
+                if other != number and max(event.t, overlapping.t) < min(end, other_end):
                     _require(overlapping.src not in nodes, "no node receives while it transmits", event)
-                    both = nodes & also if other in ended else set()
+                    both = nodes & other_nodes if other in ended else set()  # a frame on the air may still be lost
                     _require(not both, "no node receives two frames that overlap", event)
         on_air = [event.t for number, (event, *_) in self._frames.items() if number not in ended]
         for number in ended:

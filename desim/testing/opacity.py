@@ -19,7 +19,7 @@ from desim.scenario.scenario import Scenario
 ROUNDING = 1e-6
 """Tolerance for rounding errors, m."""
 KEPT = 512
-"""Number of samples that are kept, to compare sightings with."""
+"""Number of samples that are kept: a sighting may be reported later."""
 
 
 class OpacityWatcher:
@@ -30,8 +30,8 @@ class OpacityWatcher:
     - A pursuer does not report that it has seen an evader itself, without noise, when a wall that blocks sight was
       between them. Reports of tracks, and those that relay sightings of others, are not judged.
 
-    Positions are known at samples. Later, players are no farther from there than they can move. So a line is judged if
-    it crosses a wall wherever its ends are within these distances.
+    Positions are known at samples. After a sample, each player is within the distance that it can have moved. The
+    watcher raises an error only if a wall is between two players wherever they are within these distances.
 
     Args:
         scenario: the scenario of the run.

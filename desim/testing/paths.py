@@ -21,7 +21,7 @@ class PathWatcher:
       walls at its speed: the shortest path is not longer than its speed times the time.
     - At a capture that ends the run, the shortest path from the capturer is not longer than the capture radius.
 
-    Without such walls it checks nothing.
+    Without walls that block motion it checks nothing.
 
     Args:
         scenario: the scenario of the run.
@@ -61,13 +61,13 @@ class PathWatcher:
             source, target = begin[player : player + 1], end[player : player + 1]
             if not crossings(coordinates(source), coordinates(target), self._segments, ROUNDING).any():
                 continue
-            length, most = self._space.distance(complex(source[0]), complex(target[0])), self._speeds[player] * passed
+            length, reach = self._space.distance(complex(source[0]), complex(target[0])), self._speeds[player] * passed
             self.judged += 1
-            if not length <= most + ROUNDING * (1.0 + most):
+            if not length <= reach + ROUNDING * (1.0 + reach):
                 raise AssertionError(
                     f"no path crosses a wall: up to {seconds(after.t)} s player {player} of {len(begin)} (the"
                     f" {len(after.pursuers)} pursuers come first) came from {source[0]:g} to {target[0]:g} in {passed}"
-                    f" s, but the shortest path around walls is {length} m long, and it can go {most} m"
+                    f" s, but the shortest path around walls is {length} m long, and it can go {reach} m"
                 )
 
     def _check_capture(self, capture: Captured, event: Started | Sampled) -> None:

@@ -50,7 +50,7 @@ def watched(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> 
     this function in tests of a protocol or a model.
 
     Raises:
-        TypeError: if it is not a scenario.
+        TypeError: if `scenario` is no scenario.
         AssertionError: if an invariant is broken.
     """
     scenario_argument(Scenario).check(scenario, "watched")
@@ -129,8 +129,8 @@ class MotionWatcher:
     at most v_i times the time for which it was active, a relay at most the top speed of its record times the elapsed
     time, and an evader at most v_e times the time for which it was at large. A player that coasts, for instance brakes
     with a limited acceleration, also moves when it is inactive or captured. In a static game no player moves. In a flow
-    that is the same everywhere, this holds for the motion relative to the flow; in any other flow, its top speed is
-    added to all speeds.
+    that is the same everywhere, the motion relative to the flow is checked; in any other flow, the top speed of the
+    flow is added to all speeds.
 
     Args:
         scenario: the scenario of the run.
@@ -145,7 +145,7 @@ class MotionWatcher:
         self._last: tuple[int, Points, NDArray[np.int64]] | None = None
         self._places, self._environment = RelativePlaces(scenario), scenario.environment
         dynamics = [*[scenario.team.dynamics] * scenario.team.count, *(evader.dynamics for evader in scenario.evaders)]
-        self._brakes = [player for player, body in enumerate(dynamics) if coasts(body)]
+        self._coasting = [player for player, body in enumerate(dynamics) if coasts(body)]
 
     def __call__(self, event: Event) -> None:
         """Process an event."""
@@ -161,34 +161,35 @@ class MotionWatcher:
 
     def _check_positions(self, event: Started | Sampled) -> None:
         places = self._places(event)
-        moving = np.concatenate([self._active.until(event.t), np.minimum(event.t, self._capture_times)])
-        moving[[*self._relays, *self._brakes]] = event.t
+        motion_times = np.concatenate([self._active.until(event.t), np.minimum(event.t, self._capture_times)])
+        motion_times[[*self._relays, *self._coasting]] = event.t
         if self._last is not None:
-            since, before, moved = self._last
-            bound = self._moves * self._speeds * (moving - moved) / SECOND
-            if not is_uniform(self._environment.flow) and event.t > since:
-                bound = bound + self._environment.top_speed * seconds(event.t - since)
-            distance = lengths(places - before)
+            last_t, last_places, last_motion_times = self._last
+            bound = self._moves * self._speeds * (motion_times - last_motion_times) / SECOND
+            if not is_uniform(self._environment.flow) and event.t > last_t:
+                bound = bound + self._environment.top_speed * seconds(event.t - last_t)
+            distance = lengths(places - last_places)
+            # Coordinates far from the origin are rounded more, and so are places relative to the flow.
             tolerance = ROUNDING * (1.0 + bound) + 1e-12 * lengths(places) + 2.0 * self._places.error
             fast = np.flatnonzero(~(distance <= bound + tolerance))
             if len(fast):
                 player = fast[0]
                 raise AssertionError(
-                    f"no player exceeds its speed: from {seconds(since)} to {seconds(event.t)} s player {player} (the"
+                    f"no player exceeds its speed: from {seconds(last_t)} to {seconds(event.t)} s player {player} (the"
                     f" {len(event.pursuers)} pursuers come first) moved {distance[player]} m, but can move at"
                     f" most {bound[player]} m"
                 )
-        self._last = event.t, places, moving
+        self._last = event.t, places, motion_times
 
 
 class InertiaWatcher:
     """A watcher of the accelerations and the turn rates of players with inertia, at the samples of the trajectory.
 
-    With a limited acceleration a, positions p at three samples, h apart, satisfy |p'' - 2 p' + p| <= a h^2. With a
-    limited turn rate omega, the directions of two successive displacements differ by at most omega times the time
-    between their middles, up to a share of the square of this angle, if the player moves at full speed; otherwise by at
-    most omega times the whole time. Positions are relative to the flow. Dynamics of your own are compared if they say
-    what they limit (`desim.pursuit.motion.dynamics.Limited`).
+    With a limited acceleration a, positions p, p' and p'' at three samples, h apart, satisfy |p'' - 2 p' + p| <= a h^2.
+    With a limited turn rate omega, the directions of two successive displacements differ by at most omega times the
+    whole time. At full speed, omega times the time between their middles is the bound, with a relative error of about
+    the square of this angle. Positions are relative to the flow. Dynamics of your own are compared if they say what
+    they limit (`desim.pursuit.motion.dynamics.Limited`).
 
     Args:
         scenario: the scenario of the run.
@@ -235,12 +236,12 @@ class InertiaWatcher:
         tolerance, duration = 10.0 * (ROUNDING + self._places.error), (steps[0] + steps[1]) / 2.0
         quantity = dynamics.limits
         if quantity == "acceleration":
-            if abs(steps[0] - steps[1]) > ROUNDING:
+            if abs(steps[0] - steps[1]) > ROUNDING:  # the formula is one of equal steps
                 return
             rate, tolerance = abs(second - first) / duration**2, tolerance / duration**2
         else:
             shortest = min(abs(first), abs(second))
-            if shortest <= tolerance or dynamics.limit * duration >= 1.0:
+            if shortest <= tolerance or dynamics.limit * duration >= 1.0:  # no direction, or too large an angle
                 return
             rate, share = abs(phase(second / first)) / duration, (dynamics.limit * duration) ** 2
             at_full_speed = min(abs(first) / steps[0], abs(second) / steps[1]) >= self._speeds[player] * (1.0 - share)
@@ -266,7 +267,7 @@ class ApolloniusWatcher:
 
     The Apollonius disc of a pursuer and an evader contains the points that the evader reaches first
     (`desim.pursuit.motion.guidance.apollonius_disc`). While a faster pursuer chases with the guidance
-    `constant_bearing`, each disc contains the next one, so the evader is captured in the first one whatever it does.
+    `constant_bearing`, each disc contains the next one: the evader is captured in the first disc whatever it does.
     This holds if the motion of all players is simple, the medium is at rest, the evader moves first in each motion step
     (`motion.order`), and the pursuer sees it exactly. The discs are compared at the samples of the trajectory.
 
@@ -282,7 +283,7 @@ class ApolloniusWatcher:
         self._speeds = scenario.team.all_speeds()
         self._active = ActiveTimeWatcher()
         self._discs: dict[int, tuple[int, complex, float]] = {}
-        """By pursuer: the evader that it has chased since the last sample, and the disc then."""
+        """By pursuer: the evader that it has chased since the last sample, and the disc at that sample."""
         self.judged = 0
 
     @staticmethod
@@ -315,11 +316,12 @@ class ApolloniusWatcher:
             places = complex(*event.evaders[evader - 1]), complex(*event.pursuers[pursuer])
             centre, radius = apollonius_disc(*places, self._evader_speeds[evader - 1], self._speeds[pursuer])
             if pursuer in self._discs:
-                _, before, most = self._discs[pursuer]
-                if not abs(centre - before) + radius <= most + ROUNDING * (1.0 + abs(centre)):
+                _, last_centre, last_radius = self._discs[pursuer]
+                reach = abs(centre - last_centre) + radius
+                if not reach <= last_radius + ROUNDING * (1.0 + abs(centre)):
                     raise AssertionError(
                         f"a chase confines the evader: at {seconds(event.t)} s the Apollonius disc of pursuer {pursuer}"
-                        f" leaves the one before by {abs(centre - before) + radius - most} m"
+                        f" leaves the one before by {reach - last_radius} m"
                     )
                 self.judged += 1
             self._discs[pursuer] = evader, centre, radius
