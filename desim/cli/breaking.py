@@ -225,13 +225,7 @@ class _Search:
                 sys.exit(VIOLATED)
 
     def try_cases(
-        self,
-        runs: int,
-        vary: "Mapping[str, Sequence[Any]]",
-        features: "Sequence[str]",
-        budget: float,
-        *,
-        guided: bool,
+        self, runs: int, vary: "Mapping[str, Sequence[Any]]", features: "Sequence[str]", budget: float, *, guided: bool
     ) -> NoReturn:
         """Search among random cases, report what was found, and end the program."""
         from desim.study.breaking.case_log import FILE as CASES

@@ -52,10 +52,10 @@ def write(page: bytes, path: Path) -> None:
         fail(f"{path}: cannot be written: {error.strerror}")
 
 
-def page_at(out: Path | None, usual: Path) -> Path:
-    """Return the path of a page, `usual` by default; end the program if `out` has a suffix other than .html."""
+def page_at(out: Path | None, default: Path) -> Path:
+    """Return the path of a page, `default` by default; end the program if `out` has a suffix other than .html."""
     try:
-        return usual if out is None else files(out, [".html"], [".html"])[0]
+        return default if out is None else files(out, [".html"], [".html"])[0]
     except ValueError as error:
         fail(f"--out {error}")
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 def replay(sources: tuple[Path, ...], out: Path | None, seed: int | None, overrides: tuple[str, ...]) -> None:
     """Make a page that plays a run: a DIR written by `desim run -o DIR`, or a scenario FILE, which is run first.
 
-    Of two, make a page that plays both side by side on one clock, and names what differs between their scenarios.
+    Of two runs, make a page that plays both side by side on one clock, and names the differences of their scenarios.
     """
     from desim.study.workers.progress import progress
     from desim.view.pages import pair

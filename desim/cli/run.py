@@ -77,16 +77,17 @@ def run(
     count = runs or default_count
     if count > 1:  # each run has its own limit
         command_limit.close()
-    is_repeated = repeated is not None and seed is None and not overrides  # so that results should be equal
-    recorded = _recorded_results(repeated) if is_repeated and repeated is not None else {}
-    into = None if out is None else _make_output(out, scenario, count, folder)
+    recorded = {}
+    if repeated is not None and seed is None and not overrides:  # the results should be equal to the recorded ones
+        recorded = _recorded_results(repeated)
+    output = None if out is None else _make_output(out, scenario, count, folder)
     start = time.perf_counter()
     try:
         if count == 1:
-            numbers, wall_time = _run_once(scenario, into)
+            numbers, wall_time = _run_once(scenario, output)
             results, table = [numbers], run_table(scenario, numbers, wall_time, shown)
         else:
-            results = _run_several(scenario, count, jobs, into, timeout, file)
+            results = _run_several(scenario, count, jobs, output, timeout, file)
             table = batch_table(scenario, results, time.perf_counter() - start)
     except OSError as error:
         from desim.results.run_folder import WriteError  # slow to import
@@ -121,10 +122,10 @@ def _make_output(out: Path, scenario: "Scenario", count: int, folder: Path) -> "
     return out, provenance.document(provenance.RUN, scenario, seed=scenario.seed, runs=count, folder=folder)
 
 
-def _run_once(scenario: "Scenario", into: "tuple[Path, Document] | None") -> "tuple[Summary, float]":
+def _run_once(scenario: "Scenario", output: "tuple[Path, Document] | None") -> "tuple[Summary, float]":
     """Run a scenario, and return the metrics and the wall time, s; write the run if there is an output folder."""
     start = time.perf_counter()
-    if into is None:
+    if output is None:
         from desim.analysis.measuring import summary
         from desim.simulation.run import run as simulate
 
@@ -132,7 +133,7 @@ def _run_once(scenario: "Scenario", into: "tuple[Path, Document] | None") -> "tu
         return summary(result), time.perf_counter() - start
     from desim.results import run_folder
 
-    out, document = into
+    out, document = output
     result = run_folder.simulate(out, scenario, scenario.seed)
     wall_time = time.perf_counter() - start
     return run_folder.write(result, out, document, simulated_there=True), wall_time
@@ -142,7 +143,7 @@ def _run_several(
     scenario: "Scenario",
     count: int,
     jobs: int,
-    into: "tuple[Path, Document] | None",
+    output: "tuple[Path, Document] | None",
     timeout: float | None,
     file: Path | None,
 ) -> "list[Summary]":
@@ -161,8 +162,8 @@ def _run_several(
 
     tasks = [(scenario, seed) for seed in seeds_from(scenario.seed, count)]
     simulate, measure = run_scenario, summary
-    if into is not None:
-        out, document = into
+    if output is not None:
+        out, document = output
         measure = partial(run_folder.write_below, out, made=document, simulated_there=True)
         simulate = partial(run_folder.simulate_below, out)
     start, finished = time.perf_counter(), dict[int, Summary]()
@@ -171,12 +172,12 @@ def _run_several(
     except KeyboardInterrupt as error:
         if finished:
             echo(batch_table(scenario, [finished[k] for k in sorted(finished)], time.perf_counter() - start))
-        where = f", in {into[0]}/seed-*" if into and finished else ""
+        where = f", in {output[0]}/seed-*" if output and finished else ""
         note = f"{len(finished)} of {count} runs have ended{where}{_how_to_keep(file, scenario, count)}"
         notes = getattr(error, "__notes__", [])
-        error.__notes__ = [note, *notes]  # the note of the simulation, at which line it was, stays the last
+        error.__notes__ = [note, *notes]  # the note of `run` about the line of code stays the last
         raise
-    if into is not None:
+    if output is not None:
         run_folder.clear(out)
         with run_folder.writing():
             provenance.write(out, document)
@@ -187,15 +188,15 @@ def _how_to_keep(file: Path | None, scenario: "Scenario", count: int) -> str:
     """Return the sweep that performs the same runs and can be resumed, as the end of a message; "" without a file."""
     if file is None:
         return ""
-    typed = click.get_current_context().params
+    parameters = click.get_current_context().params
     options = {
-        "-g": f"horizon={scenario.horizon}",
+        "-g": f"horizon={scenario.horizon}",  # a sweep needs a grid: this one changes nothing
         "-n": count,
-        "-s": typed["seed"],
-        "-j": None if typed["jobs"] == 1 else typed["jobs"],
-        "--timeout": typed["timeout"],
-        "--set": typed["overrides"],
-        "--metric": typed["metrics"],
+        "-s": parameters["seed"],
+        "-j": None if parameters["jobs"] == 1 else parameters["jobs"],
+        "--timeout": parameters["timeout"],
+        "--set": parameters["overrides"],
+        "--metric": parameters["metrics"],
         "--allow-import": is_import_allowed(),
     }
     return f"; to keep each run and resume, make a sweep: desim sweep {shlex.join([str(file), *as_words(options)])}"

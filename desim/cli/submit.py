@@ -144,10 +144,7 @@ def submit(
 
 
 def _job(folder: Path, plan: "SweepPlan", parts: int, claim: bool) -> "ArrayJob":
-    """Return the job of a folder, with the numbers of its jobs in Slurm if it was submitted before.
-
-    End the program if it was submitted with other parts.
-    """
+    """Return the job of a folder, new or as it was submitted; end the program if it was submitted in other parts."""
     from desim.study.sweeps.array_job import ArrayJob
 
     wanted = ArrayJob(name=plan.base.name, runs=plan.runs, parts=parts, claim=claim)
@@ -208,13 +205,7 @@ def _write_scripts(
 ) -> None:
     """Write the scripts of some parts and of the merge, a folder for their outputs, and the record of the job.
 
-    Args:
-        job: the job.
-        folder: the folder of the sweep.
-        words: the arguments of desim in a part.
-        merge: the command that merges the parts.
-        to_submit: the numbers of the parts.
-        resources: what each part needs.
+    `words` are the arguments of desim in a part; `merge` is the whole command that merges the parts.
     """
     from desim.study.sweeps import array_job
 

@@ -106,7 +106,8 @@ class SocketLinkLayer(LinkLayer):
     ):
         super().__init__(state, links, sampler, trace, seed)
         self._node, self._wire, self._post, self._draws = node, wire, post, draws
-        self._me, self._copies, self._may_duplicate = [node], draws and sampler.duplicates_messages, False
+        self._me, self._draws_copies = [node], draws and sampler.duplicates_messages
+        self._may_duplicate = False  # the receiver draws duplicates, not the sender
         self._log.loss_watchers = [self._note_loss]
         state.records.expect_any_order()  # between two sockets, one datagram may overtake another
         self._seen: defaultdict[int, dict[int, None]] = defaultdict(dict)
@@ -134,7 +135,7 @@ class SocketLinkLayer(LinkLayer):
     # Receiving.
 
     def receive(self, datagram: bytes, sender: int | None, now: int | None = None) -> None:
-        """Take a datagram that has arrived; drop it if it is malformed, a replay, or not from whom it names.
+        """Take a datagram that has arrived; drop it if it is malformed, a replay, or from another node than it names.
 
         Args:
             datagram: its bytes.
@@ -163,7 +164,7 @@ class SocketLinkLayer(LinkLayer):
                 start += max(now + MAX_AHEAD - start, 0) // CYCLE * CYCLE
             start = min(start, now) if self.trusts_stamps or not is_record else now
             self._deliver(parcel, len(datagram), start, now)
-            if self._copies and self._sampler.duplicates(sender, self._me, start, len(datagram)):
+            if self._draws_copies and self._sampler.duplicates(sender, self._me, start, len(datagram)):
                 self._deliver(parcel, len(datagram), start, now, is_copy=True)
 
     def _is_replay(self, parcel: Parcel) -> bool:

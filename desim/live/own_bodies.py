@@ -41,11 +41,7 @@ class OwnBodies:
         self._names |= {kind: kind.__name__ for name, kind in self._classes.items() if kind.__name__ == name}
 
     def pack(self, port: str, body: Any) -> bytes:
-        """Return a port and a body as bytes, of which the first four are their length.
-
-        Raises:
-            WireError: if the body has something that cannot be sent.
-        """
+        """Return a port and a body as bytes, the first four of which are the number of the others."""
         with naming_extras():
             from msgspec import msgpack
         try:
@@ -90,11 +86,7 @@ class OwnBodies:
         )
 
     def _parts(self, value: Any) -> Iterable[Any]:
-        """Return the items of a named tuple, or the fields of a dataclass.
-
-        Raises:
-            WireError: if a dataclass has a field without a value, or an attribute that is no field.
-        """
+        """Return the items of a named tuple, or the fields of a dataclass; refuse one whose attributes are others."""
         if isinstance(value, tuple):
             return value
         names = [field.name for field in fields(value)]

@@ -110,7 +110,7 @@ class _Pursuer:
 
     async def _run(self, received: "asyncio.Queue[Any]") -> int:
         """Play until the run is over; return the exit code."""
-        node, spent = self._node, process_time()
+        node, cpu_before = self._node, process_time()
         self._heard = self._reported = asyncio.get_running_loop().time()
         running = asyncio.create_task(node.run(lambda: monotonic_ns() + self._offset - self._begin))
         self._lines.hear, self._lines.lost = self._take, node.stop
@@ -125,7 +125,7 @@ class _Pursuer:
         finally:
             watching.cancel()
             was_lost = self._lines.ended.done()
-            await self._leave(process_time() - spent)
+            await self._leave(process_time() - cpu_before)
         return LOST_REFEREE if was_lost else 0
 
     def _take(self, word: str, *values: Any) -> None:

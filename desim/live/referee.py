@@ -89,12 +89,12 @@ class Referee:
             self._prepare(scenario)
             try:
                 await lobby.gather(nursery, self._seed, self._namespaces, draws=self._draws, tell=self._tell)
-                begin, spent = monotonic_ns() + nanoseconds(LEAD), process_time()
+                begin, cpu_before = monotonic_ns() + nanoseconds(LEAD), process_time()
                 lobby.tell_all("begin", begin)
                 self._clock = WallClock(self._env, self._end.over, lambda: monotonic_ns() - begin)
                 await self._clock.ended
                 missing = await self._last_reports()
-                self._conduct.cpu[REFEREE] = process_time() - spent
+                self._conduct.cpu[REFEREE] = process_time() - cpu_before
                 return self._result(self._clock, missing)
             finally:
                 lobby.close()
@@ -124,7 +124,7 @@ class Referee:
         self._lobby.tell_all("frame", *frame_of(self._state, self._obeyed), may_skip=True)
 
     def _send_frame_soon(self) -> None:
-        """Send a frame after all other events of this instant, because the action of a pursuer changes."""
+        """Send a frame after all other events of this instant."""
         Instant(self._env, self._env.now, Phase.SAMPLE + 1).callbacks.append(self._send_frame)
 
     def _watch(self, event: Event) -> None:

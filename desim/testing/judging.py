@@ -97,10 +97,11 @@ class Subject(NamedTuple):
             raise ContractError(f"{self.name}: {where} does not end, or no simulated time passes: {error}") from error
         except Exception as error:
             self.blame(where, error)
-        for module, state, now in zip(
-            ("random", "numpy.random"), before, (random.getstate(), _state_of_numpy()), strict=True
-        ):
-            self.require(state == now, f"{where} draws from the global generator of {module}; draw from the one given")
+        after = random.getstate(), _state_of_numpy()
+        for module, first, second in zip(("random", "numpy.random"), before, after, strict=True):
+            self.require(
+                first == second, f"{where} draws from the global generator of {module}; draw from the one given"
+            )
 
 
 def _state_of_numpy() -> tuple[Any, ...]:
@@ -121,7 +122,7 @@ def subject(model: Any, family: OneOf, noun: str) -> Subject:
     """
     name = model if isinstance(model, str) else model.__name__ if isinstance(model, type) else name_of(model)
     holder: Any = create_model("Given", __base__=Value, model=(Annotated[Any, family], ...))
-    instance: Any = model
+    instance: Any = model  # for the messages if a class cannot be called
     try:
         instance = model() if isinstance(model, type) else model
         context = {"allow_import": True, "folder": Path.cwd()}
@@ -205,9 +206,9 @@ def is_off(sample: NDArray[Any], mean: float, tolerance: float) -> bool:
 
     For few draws, more standard errors are allowed, by Student's distribution.
     """
-    error = float(sample.std(ddof=1)) / sqrt(len(sample))
-    errors = t_quantile(len(sample) - 1, 1.0 - CHANCE)
-    return not abs(float(sample.mean()) - mean) <= errors * error + tolerance
+    standard_error = float(sample.std(ddof=1)) / sqrt(len(sample))
+    most_errors = t_quantile(len(sample) - 1, 1.0 - CHANCE)
+    return not abs(float(sample.mean()) - mean) <= most_errors * standard_error + tolerance
 
 
 def are_more(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> bool:

@@ -17,8 +17,8 @@ ROUNDING = 1e-6
 class PathWatcher:
     """A watcher that checks that no player crosses a wall that blocks motion.
 
-    - Between two samples, each player that moves by itself goes straight without crossing a wall, or can go around
-      walls at its speed: the shortest path is not longer than its speed times the time.
+    - Between two samples, each player goes straight without crossing a wall, or can go around walls at its speed: the
+      shortest path is not longer than its speed times the time. Evaders with recorded motions may cross walls.
     - At a capture that ends the run, the shortest path from the capturer is not longer than the capture radius.
 
     Without walls that block motion it checks nothing.
