@@ -92,14 +92,14 @@ A module is imported when a scenario selects its kind.
 """
 
 
-def _elsewhere() -> dict[str, str]:
+def _import_hints() -> dict[str, str]:
     """Return, by names that users look for in this package, what to write instead."""
-    kinds = {kind: item for group in _CLASSES.values() for kind, item in group.items()}
-    imports = {kind.upper(): f"from protocols import {item}" for kind, item in kinds.items()} | {
-        kind: f"from protocols import {item}, or protocol={kind!r} for its defaults" for kind, item in kinds.items()
+    class_of = {kind: name for kinds in _CLASSES.values() for kind, name in kinds.items()}
+    hints = {kind.upper(): f"from protocols import {name}" for kind, name in class_of.items()} | {  # SAP, for example
+        kind: f"from protocols import {name}, or protocol={kind!r} for its defaults" for kind, name in class_of.items()
     }
-    models = homes_of_exports(str(package_folder("desim") / "__init__.py"))
-    return imports | {model: f"from desim import {model}" for model in models if model not in imports}
+    exports = homes_of_exports(str(package_folder("desim") / "__init__.py"))
+    return hints | {name: f"from desim import {name}" for name in exports if name not in hints}
 
 
-__getattr__, __dir__, __all__ = lazy_exports(__name__, __file__, _elsewhere)
+__getattr__, __dir__, __all__ = lazy_exports(__name__, __file__, _import_hints)

@@ -36,7 +36,7 @@ class Bid(NamedTuple):
     def rank(self) -> tuple[float, float]:
         """The sort key of bids, greater for a better bid.
 
-        `NO_BID` is least, also less than the bid of a pursuer whose capture time is not known here.
+        `NO_BID` is least, also less than the bid -inf of a pursuer whose capture time is unknown.
         """
         return self.amount, -inf if self.winner == NO_WINNER else -self.winner
 
@@ -61,7 +61,7 @@ def offer(me: Agent, evader: int = 1) -> Bid:
     return Bid(me.id, -phi) if me.may_chase(evader) and phi < me.time_left() else NO_BID
 
 
-def chosen(me: Agent, rival_bids: Sequence[Bid]) -> tuple[int, list[Bid]]:
+def action_and_bids(me: Agent, rival_bids: Sequence[Bid]) -> tuple[int, list[Bid]]:
     """Return the action of a pursuer, and the (M,) best bids with its own included.
 
     Among the evaders for which it outbids all others, the action is the one with its highest bid; 0 if there is none.
@@ -71,8 +71,8 @@ def chosen(me: Agent, rival_bids: Sequence[Bid]) -> tuple[int, list[Bid]]:
         rival_bids: (M,) the best bid of the other pursuers for each evader.
     """
     offers = {evader: offer(me, evader) for evader in me.evaders()}
-    won = [evader for evader, bid in offers.items() if bid.rank > rival_bids[evader - 1].rank]
-    action = max(won, key=lambda evader: offers[evader].rank, default=0)
+    evaders_won = [evader for evader, bid in offers.items() if bid.rank > rival_bids[evader - 1].rank]
+    action = max(evaders_won, key=lambda evader: offers[evader].rank, default=0)
     return action, [offers[action] if evader == action else bid for evader, bid in enumerate(rival_bids, start=1)]
 
 
@@ -101,13 +101,13 @@ def bid_updater(me: Agent, evader: int = 1) -> Callable[[Bid], Bid]:
     return lambda bid: bid if bid.winner == NO_WINNER else Bid(bid.winner, -phi[bid.winner])
 
 
-def unread(me: Agent, read: dict[int, int], claim: type[Any]) -> Iterator[Record]:
+def unread(me: Agent, last_read: dict[int, int], claim: type[Any]) -> Iterator[Record]:
     """Yield the unread records of `Agent.trusted` with a claim, in order of the source ids, and mark them as read.
 
-    `read` maps each source to the sequence number of the last record read. Records of initial actions
+    `last_read` maps each source to the sequence number of the last record read. Records of initial actions
     (`announce.start`) carry no claim and are skipped.
     """
     for j, record in sorted(me.trusted().items()):
-        if record.seq > read.get(j, -1) and isinstance(record.body, claim):
-            read[j] = record.seq
+        if record.seq > last_read.get(j, -1) and isinstance(record.body, claim):
+            last_read[j] = record.seq
             yield record

@@ -27,7 +27,7 @@ from math import inf
 from typing import ClassVar, Literal, NamedTuple, Self
 
 from desim.pursuit.team.agent import Agent
-from protocols.auction import NO_BID, Auction, Bid, bid_updater, bids_of, chosen, lists_of, unread
+from protocols.auction import NO_BID, Auction, Bid, action_and_bids, bid_updater, bids_of, lists_of, unread
 from protocols.rule import Rule
 
 
@@ -46,7 +46,7 @@ class Claim(NamedTuple):
         return self.active, self.winners
 
     def falsified(self, pursuer: int, action: int, phi: float) -> Self:
-        """Return the claim of a pursuer that pretends to act so, and to bid -phi (s) for the evader `action` only."""
+        """Return the claim of a pursuer that pretends to take `action`, and to bid -phi (s) for that evader only."""
         others = [NO_BID if bid.winner == pursuer else bid for bid in bids_of(self)]
         bids = [Bid(pursuer, -phi) if evader == action else bid for evader, bid in enumerate(others, start=1)]
         winners, amounts = lists_of(bids)
@@ -66,14 +66,15 @@ class CBAA(Auction):
     def actions(self, me: Agent) -> Iterator[int]:
         """Yield the evader that the pursuer has won, or 0, at each turn."""
         bids = [NO_BID] * me.evader_count
-        read: dict[int, int] = {}
+        last_read: dict[int, int] = {}
         while True:
-            claims = {record.src: bids_of(record.body) for record in unread(me, read, Claim)}
+            claims = {record.src: bids_of(record.body) for record in unread(me, last_read, Claim)}
             for k, best in enumerate(bids):
                 update = bid_updater(me, k + 1)
                 claimed = {j: update(claim[k]) for j, claim in claims.items()}
+                # With its own claim, reports of this pursuer's bid are ignored: `action_and_bids` makes it anew.
                 bids[k] = greatest(update(best), claimed | {me.id: NO_BID})
-            action, bids = chosen(me, one_each(bids))
+            action, bids = action_and_bids(me, one_each(bids))
             me.set_payload(Claim(action, *lists_of(bids)))
             yield action
 

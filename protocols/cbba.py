@@ -29,9 +29,9 @@ from protocols.auction import (
     NO_WINNER,
     Auction,
     Bid,
+    action_and_bids,
     bid_updater,
     bids_of,
-    chosen,
     lists_of,
     unread,
 )
@@ -53,7 +53,7 @@ class StampedClaim(NamedTuple):
     """(N,) s[m]: time stamp (s, clock of m) of the latest announcement of m of which the pursuer knows, either from m
     itself or from the time stamps in the claims of others."""
 
-    news, falsified, phi = Claim.news, Claim.falsified, Claim.phi  # type: ignore[misc]  # a tuple cannot inherit them
+    news, falsified, phi = Claim.news, Claim.falsified, Claim.phi  # type: ignore[misc]  # a NamedTuple cannot inherit them
 
 
 class CBBA(Auction):
@@ -77,26 +77,28 @@ class CBBA(Auction):
     def actions(self, me: Agent) -> Iterator[int]:
         """Yield the evader that the pursuer has won, or 0, at each turn."""
         bids = [NO_BID] * me.evader_count
-        read: dict[int, int] = {}
-        stamps, since = [-inf] * me.team_size, [me.now] * me.team_size  # since: local time at which a stamp last grew
+        last_read: dict[int, int] = {}
+        stamps = [-inf] * me.team_size
+        grown_at = [me.now] * me.team_size  # by pursuer: local time, s, at which its stamp last grew
         while True:
             updaters = [bid_updater(me, k + 1) for k in range(me.evader_count)]
             bids = [updater(bid) for updater, bid in zip(updaters, bids, strict=True)]
-            for record in unread(me, read, StampedClaim):
-                k, theirs = record.src, record.body.stamps
-                for task, (mine, bid) in enumerate(zip(bids, bids_of(record.body), strict=True)):
-                    bid = updaters[task](bid)
-                    verdict = decision(me.id, k, *mine, stamps, *bid, theirs)
-                    bids[task] = {"update": bid, "reset": NO_BID, "leave": mine}[verdict]
+            for record in unread(me, last_read, StampedClaim):
+                k, sender_stamps = record.src, record.body.stamps
+                for task, (bid, claimed) in enumerate(zip(bids, bids_of(record.body), strict=True)):
+                    claimed = updaters[task](claimed)
+                    verdict = decision(me.id, k, *bid, stamps, *claimed, sender_stamps)
+                    bids[task] = {"update": claimed, "reset": NO_BID, "leave": bid}[verdict]
                 # Heartbeats repeat a claim with its old stamps, but each is a sign of life: the stamp of the sender
                 # itself is the time of the record. Ages count from when a stamp last grew, because stamps are read from
                 # other clocks.
-                heard = [*theirs[:k], record.sent, *theirs[k + 1 :]]
-                since = [me.now if new > old else t for new, old, t in zip(heard, stamps, since, strict=True)]
-                stamps = list(map(max, heard, stamps))
-            late = [bid.winner != NO_WINNER and me.now - since[bid.winner] > self.winner_timeout for bid in bids]
-            rival_bids = [NO_BID if bid.winner == me.id or gone else bid for bid, gone in zip(bids, late, strict=True)]
-            action, bids = chosen(me, rival_bids)
+                news = [*sender_stamps[:k], record.sent, *sender_stamps[k + 1 :]]
+                grown_at = [me.now if new > old else t for new, old, t in zip(news, stamps, grown_at, strict=True)]
+                stamps = list(map(max, news, stamps))
+            # The pursuer's own bids are made anew, and those of winners that have timed out are dropped.
+            rivals = {k for k, t in enumerate(grown_at) if k != me.id and me.now - t <= self.winner_timeout}
+            rival_bids = [bid if bid.winner in rivals else NO_BID for bid in bids]
+            action, bids = action_and_bids(me, rival_bids)
             stamps[me.id] = me.now
             me.set_payload(StampedClaim(action, *lists_of(bids), tuple(stamps)))
             yield action
@@ -109,32 +111,33 @@ def decision(
 
     z_i, y_i and s_i are the winner, the winning bid and the time stamps that i knows; z_k, y_k and s_k are those of the
     claim. A key of the table is (winner according to k, winner according to i); m and n are two pursuers other than i
-    and k.
+    and k. They differ: if both i and k name the same third pursuer, the key is ("m", "m").
     """
     higher = Bid(z_k, y_k).rank > Bid(z_i, y_i).rank
-    newer_of_theirs, newer_of_mine = (m != NO_WINNER and s_k[m] > s_i[m] for m in (z_k, z_i))
-    older_of_theirs = z_k != NO_WINNER and s_k[z_k] < s_i[z_k]
-    outdated: Verdict = "reset" if newer_of_mine and older_of_theirs else "leave"
+    # "k_newer_of_z_i": k has a newer time stamp of the pursuer z_i than i has.
+    k_newer_of_z_k, k_newer_of_z_i = (m != NO_WINNER and s_k[m] > s_i[m] for m in (z_k, z_i))
+    i_newer_of_z_k = z_k != NO_WINNER and s_k[z_k] < s_i[z_k]
+    reset_if_outdated: Verdict = "reset" if k_newer_of_z_i and i_newer_of_z_k else "leave"
     names = {i: "i", k: "k", NO_WINNER: "none"}
     k_says = names.get(z_k, "m")
     i_says = names.get(z_i, "n" if k_says == "m" and z_i != z_k else "m")
     table: dict[tuple[str, str], Verdict] = {
         ("k", "i"): "update" if higher else "leave",
         ("k", "k"): "update",
-        ("k", "m"): "update" if newer_of_mine or higher else "leave",
+        ("k", "m"): "update" if k_newer_of_z_i or higher else "leave",
         ("k", "none"): "update",
         ("i", "i"): "leave",
         ("i", "k"): "reset",
-        ("i", "m"): "reset" if newer_of_mine else "leave",
+        ("i", "m"): "reset" if k_newer_of_z_i else "leave",
         ("i", "none"): "leave",
-        ("m", "i"): "update" if newer_of_theirs and higher else "leave",
-        ("m", "k"): "update" if newer_of_theirs else "reset",
-        ("m", "m"): "update" if newer_of_theirs else "leave",
-        ("m", "n"): "update" if newer_of_theirs and (newer_of_mine or higher) else outdated,
-        ("m", "none"): "update" if newer_of_theirs else "leave",
+        ("m", "i"): "update" if k_newer_of_z_k and higher else "leave",
+        ("m", "k"): "update" if k_newer_of_z_k else "reset",
+        ("m", "m"): "update" if k_newer_of_z_k else "leave",
+        ("m", "n"): "update" if k_newer_of_z_k and (k_newer_of_z_i or higher) else reset_if_outdated,
+        ("m", "none"): "update" if k_newer_of_z_k else "leave",
         ("none", "i"): "leave",
         ("none", "k"): "update",
-        ("none", "m"): "update" if newer_of_mine else "leave",
+        ("none", "m"): "update" if k_newer_of_z_i else "leave",
         ("none", "none"): "leave",
     }
     return table[k_says, i_says]

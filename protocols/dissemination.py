@@ -90,12 +90,12 @@ class Flooding(Value):
         """Rebroadcast each new announcement after a random delay."""
         rng = me.stream("flooding")
         merged: dict[int, float] = {me.id: inf}  # by source: the greatest sequence number of a record received
-        # By source: sequence number and hops of the last copy rebroadcast; its own records never go on.
-        passed_on: dict[int, tuple[float, int]] = {me.id: (inf, 0)}
+        # By source: sequence number and hops of the last copy rebroadcast; inf, so that `me` repeats none of its own.
+        forwarded: dict[int, tuple[float, int]] = {me.id: (inf, 0)}
 
-        def goes_on(record: Record, hops: int) -> bool:
-            # As a pair: a newer record always goes on, and a copy of the same one only if it can travel farther.
-            return hops > 1 and (record.seq, hops) > passed_on.get(record.src, (0, 0))
+        def is_forwarded(record: Record, hops: int) -> bool:
+            # Pairs are compared: a newer record is always forwarded, a copy of the same one only if it has more hops.
+            return hops > 1 and (record.seq, hops) > forwarded.get(record.src, (0, 0))
 
         def take(messages: list[Message]) -> None:
             for message in messages:
@@ -103,16 +103,17 @@ class Flooding(Value):
                 if record.seq > merged.get(record.src, -1):
                     merged[record.src] = record.seq
                     me.merge_records([record])
-                if goes_on(record, hops):
-                    passed_on[record.src] = (record.seq, hops)
-                    again = partial(me.send, None, Forwarded((record,), hops - 1), PORT)
-                    me.after(self.jitter * rng.random(), again, Phase.RELAY)  # `uniform` takes 8 times as long
+                if is_forwarded(record, hops):
+                    forwarded[record.src] = (record.seq, hops)
+                    rebroadcast = partial(me.send, None, Forwarded((record,), hops - 1), PORT)
+                    me.after(self.jitter * rng.random(), rebroadcast, Phase.RELAY)  # `uniform` takes 8 times as long
 
         def is_copy(message: Message) -> bool:
             (record,), hops = message.body
-            return record.seq <= merged.get(record.src, -1) and not goes_on(record, hops)
+            return record.seq <= merged.get(record.src, -1) and not is_forwarded(record, hops)
 
-        yield me.listen(take, PORT, Phase.RELAY, is_copy)  # most messages are copies, for which an event takes too long
+        # Most messages are copies, and an event for each would take too long.
+        yield me.listen(take, PORT, Phase.RELAY, is_copy)
 
 
 class Gossip(Value):
@@ -134,7 +135,7 @@ class Gossip(Value):
 
 
 class SentByTransport:
-    """A dissemination that is itself the transport of announcements: to the neighbours, of which none forwards them."""
+    """A dissemination that is itself the transport of announcements to the neighbours; none of them forwards any."""
 
     hops: ClassVar[int] = 1
 
@@ -186,5 +187,5 @@ class CodedOneHop(SentByTransport, Coded):
 
 def send_record(me: Agent, announcement: Any, transport: Transport) -> None:
     """Send an announcement to all neighbours as a record; its bytes are those of the announcement and the transport."""
-    record = me.record(announcement)  # of a liar, not with this announcement
+    record = me.record(announcement)  # a liar's record has another body than the announcement
     me.send(None, Forwarded((record,)), PORT, transport=transport, size=size_of(record.body))

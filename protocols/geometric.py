@@ -82,19 +82,20 @@ class Geometric(Value):
     def __call__(self, me: Agent) -> Process:
         """Chase an evader while the pursuer is its owner."""
         measure_of = {evader: self.measure(me, evader) for evader in me.evaders()}
-        owner: dict[int, int] = {}
+        owner_of: dict[int, int] = {}
         for tick in ticks(me, self.slot):
             yield me.at(tick)
             measures: dict[int, list[float]] = {}
             present: dict[int, Collection[int | None]] = {}
-            left = me.time_left()
+            time_left = me.time_left()
             for evader in me.evaders():
                 team = me.team_estimate(evader)
                 values = zip(measure_of[evader](team).tolist(), team.capture_times.tolist(), strict=True)
-                measures[evader] = [value if time < left and value < inf else inf for value, time in values]
-                present[evader] = [owner.get(evader)] if me.senses_others else announced_chasers(me, evader)
-            owner = owners(team.ids, measures, present, self.hysteresis)
-            action = next((evader for evader, pursuer in owner.items() if pursuer == me.id), 0)
+                # The second comparison is false for nan, the measure of an unknown position.
+                measures[evader] = [value if phi < time_left and value < inf else inf for value, phi in values]
+                present[evader] = [owner_of.get(evader)] if me.senses_others else announced_chasers(me, evader)
+            owner_of = owners(team.ids, measures, present, self.hysteresis)  # the ids are the same for each evader
+            action = next((evader for evader, pursuer in owner_of.items() if pursuer == me.id), 0)
             if me.action != action:
                 me.assign(action)
             if not me.senses_others:
@@ -170,26 +171,26 @@ class VelocityFilter:
 
     def __init__(self, time_constant: float, environment: Environment):
         self._time_constant, self._environment = time_constant, environment
-        self._seen: tuple[float, complex] | None = None
+        self._last: tuple[float, complex] | None = None  # time, s, and position, m, at the last call; None if unknown
         self._velocity: complex | None = None
 
     def __call__(self, now: float, place: complex) -> complex:
         """Return the velocity estimate, m/s, updated with the position of the evader (m) at time now (s)."""
         if isnan(place.real):
-            self._seen = None
+            self._last = None
             return self._velocity or 0j
-        if self._seen is not None and now <= self._seen[0]:  # a crash ended in this slot, or the clock was set back
+        if self._last is not None and now <= self._last[0]:  # a crash ended in this slot, or the clock was set back
             return self._velocity or 0j
-        if self._seen is not None:
-            (before, start), environment = self._seen, self._environment
+        if self._last is not None:
+            (before, start), environment = self._last, self._environment
             if environment.on == "all" and not environment.is_still:
                 start = environment.carried(start, nanoseconds(before), nanoseconds(now))
             elapsed = now - before
             mean = (place - start) / elapsed
-            latest = mean if self._velocity is None else self._velocity
-            remains = exp(-elapsed / self._time_constant) if self._time_constant else 0.0
-            self._velocity = mean + (latest - mean) * remains
-        self._seen = now, place
+            estimate = mean if self._velocity is None else self._velocity
+            decay = exp(-elapsed / self._time_constant) if self._time_constant else 0.0
+            self._velocity = mean + (estimate - mean) * decay
+        self._last = now, place
         return self._velocity or 0j
 
 
@@ -241,9 +242,9 @@ def first(
         return None
     best = measures.index(least)  # ties: the lowest id
     if hysteresis:
-        owners = sorted(ids.index(pursuer) for pursuer in present if pursuer in ids)
-        owner = min(owners, key=measures.__getitem__, default=best)
-        best = best if least < (1.0 - hysteresis) * measures[owner] else owner
+        present_indices = sorted(ids.index(pursuer) for pursuer in present if pursuer in ids)
+        owner_index = min(present_indices, key=measures.__getitem__, default=best)
+        best = best if least < (1.0 - hysteresis) * measures[owner_index] else owner_index
     return ids[best]
 
 

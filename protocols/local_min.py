@@ -36,15 +36,15 @@ class LocalMin(Rule):
     def actions(self, me: Agent) -> Iterator[int]:
         """Yield the chosen evader, or 0, at each turn."""
         while True:
-            near = set(me.counted_teammates("neighbours"))
-            won = [evader for evader in me.options()[1:] if self._is_first(me, evader, near)]
-            yield min(won, key=me.capture_time, default=0)
+            neighbours = set(me.counted_teammates("neighbours"))
+            open_to_me = [evader for evader in me.options()[1:] if self._is_first(me, evader, neighbours)]
+            yield min(open_to_me, key=me.capture_time, default=0)
 
-    def _is_first(self, me: Agent, evader: int, near: set[int]) -> bool:
+    def _is_first(self, me: Agent, evader: int, neighbours: set[int]) -> bool:
         """Return whether the pursuer would be in time and comes before all neighbours that chase the evader."""
-        claim = me.capture_time(evader), me.id
-        rivals = [(phi, j) for j, phi in me.believed_chasers(evader).items() if j in near]
-        return claim[0] < me.time_left() and all(claim < rival for rival in rivals)
+        phi = me.capture_time(evader)
+        rivals = [(rival_phi, j) for j, rival_phi in me.believed_chasers(evader).items() if j in neighbours]
+        return phi < me.time_left() and all((phi, me.id) < rival for rival in rivals)
 
 
 class ArgminKnown(Rule):

@@ -4,7 +4,8 @@ Paper: none. The network is a multilayer perceptron; a linear rule is one withou
 Parameters: schedule, and the file of weights, or the names of the features and the layers.
 Assumes: nothing beyond the game in which the weights were learned.
 Messages: announcements, see `announce` in the scenario.
-Robust to loss: as far as it was learned; the ages of the newest announcements are among the features.
+Robust to loss: as far as the weights were learned with losses; the ages of the newest announcements are among the
+    features.
 """
 
 import json
@@ -76,6 +77,7 @@ class Layer(Value):
 
 
 SHARP = 1e9
+"""A factor, 1/s, with which a nanosecond outweighs the constant 1."""
 FIRST_AND_IN_TIME = (
     Layer(weights=((SHARP, 0.0), (0.0, SHARP)), bias=(0.0, 0.0)),
     Layer(weights=((-1.0, -1.0),), bias=(1.0,)),
@@ -90,8 +92,8 @@ class Policy(Rule):
     inactivity is 0. The block "evader" in the names of its features stands for the evader in question. A network with
     M + 1 outputs gives the scores of all actions, 0 .. M. Ties go to the lowest action.
 
-    Without weights it is the rule of `local_min` where all hear each other: it chases if no teammate that is known to
-    chase would be earlier, and it would be in time.
+    The default weights give the rule of `local_min` where all hear each other: a pursuer chases if it would be in time,
+    and no teammate that is known to chase would be earlier.
     """
 
     kind: Literal["policy"] = "policy"
@@ -115,9 +117,9 @@ class Policy(Rule):
     def _read(cls, fields: Any, info: ValidationInfo) -> Any:
         if not isinstance(fields, dict) or fields.get("file") is None:
             return fields
-        given = [name for name in CONTENT if name in fields]
-        if given:
-            raise ValueError(f"should have a file or {given[0]}, not both")
+        written_out = [name for name in CONTENT if name in fields]
+        if written_out:
+            raise ValueError(f"should have a file or {written_out[0]}, not both")
         try:
             content = _content(resolve_path(fields["file"], info))
         except ValueError as error:
@@ -143,7 +145,7 @@ class Policy(Rule):
         return len(self.layers[-1].bias)
 
     def check_game(self, pursuers: int, evaders: int) -> None:
-        """Raise KeyedError if a game has no such feature, or another number of actions than there are scores."""
+        """Raise KeyedError if a game lacks one of the features, or the scores are not one, or one for each action."""
         names = observation_names(pursuers, evaders)
         absent = [name for name in self.features if not name.startswith(f"{RELATIVE}.") and name not in names]
         if absent:
@@ -177,7 +179,7 @@ class Policy(Rule):
             scores = [0.0] * len(options)
             blocks = _Blocks(me)
             if self.outputs > 1:
-                values = scores_of([read(blocks, 0) for read in inputs])
+                values = scores_of([read(blocks, 0) for read in inputs])  # 0: no evader's chase is scored alone
                 scores = [values[action] for action in options]
             else:
                 for k, evader in enumerate(options[1:], start=1):
@@ -195,7 +197,7 @@ def network(layers: Sequence[Layer], activation: Literal["tanh", "relu"]) -> Cal
         for k, (weights, bias) in enumerate(matrices):
             if k:
                 values = np.array([squash(value) for value in values.tolist()])
-            # Products that are added row by row: those of BLAS depend on the processor in the last digits.
+            # Not `weights @ values`: the last digits of BLAS depend on the processor.
             values = (weights * values).sum(axis=1) + bias
         numbers: list[float] = values.tolist()
         return numbers
@@ -233,6 +235,8 @@ class _Feature(NamedTuple):
 
 
 _FIELDS = {"own": Own._fields, "evader": OfEvader._fields, "pursuer": OfPursuer._fields}
+_MAY_HAVE_NUMBER = {"own": (False,), "evader": (False, True), "pursuer": (True,)}
+"""For each block, whether names may be without a number and with one."""
 
 
 def _parts(name: str) -> _Feature:
@@ -250,15 +254,16 @@ def _check_name(name: str, *, several: bool) -> None:
         several: whether the network gives the scores of all actions, so that there is no evader in question.
     """
     feature = _parts(name)
-    fields = _FIELDS.get(feature.block, ())
-    block = feature.block if feature.number is None else f"{feature.block}_{feature.number}"
-    is_numbered = {"own": False, "pursuer": True}.get(feature.block, feature.number is not None)
-    if not fields or f"{block}.{feature.field}" != name or is_numbered != (feature.number is not None):
+    has_number = feature.number is not None
+    block = f"{feature.block}_{feature.number}" if has_number else feature.block
+    # The name is put together again, because `_parts` drops a text that is no number, and leading zeros.
+    if has_number not in _MAY_HAVE_NUMBER.get(feature.block, ()) or f"{block}.{feature.field}" != name:
         raise ValueError(f"there is no feature {name!r}: names are {FORMS}")
+    fields = _FIELDS[feature.block]
     if feature.field not in fields:
         hint = did_you_mean(feature.field, fields) or f": its fields are {', '.join(fields)}"
         raise ValueError(f"there is no feature {name!r}{hint}")
-    if several and feature.block == RELATIVE and feature.number is None:
+    if several and feature.block == RELATIVE and not has_number:
         raise ValueError(f"{name!r} has no number, but the network gives the scores of all actions: write evader_1")
 
 
@@ -288,7 +293,7 @@ def _content(path: Path) -> dict[str, Any]:
         raise ValueError(f"{path} should have an object with the keys {', '.join(CONTENT)}")
     if unknown := [key for key in content if key not in CONTENT]:
         raise ValueError(f"{path} has an unknown key {unknown[0]!r}{did_you_mean(unknown[0], CONTENT)}")
-    if missing := [key for key in CONTENT[:2] if key not in content]:
+    if missing := [key for key in ("features", "layers") if key not in content]:
         raise ValueError(f"{path} has no {missing[0]}")
     try:
         policy = Policy(**content)

@@ -50,7 +50,7 @@ class Rule(Value):
         raise NotImplementedError(f"{type(self).__name__} has no rule: write its actions(me)")
 
     def __call__(self, me: Agent) -> Process:
-        """Run the schedule of a pursuer; at each turn, assign the next of `actions`, or 0 if it is not asked.
+        """Run the schedule of a pursuer; at each turn, assign the next of `actions`, or 0 without advancing `actions`.
 
         Raises:
             TypeError: if `actions` is not a generator.
@@ -59,10 +59,10 @@ class Rule(Value):
         actions = self.actions(me)
         if not isinstance(actions, Iterator):
             raise TypeError(f"actions(me) of {type(self).__name__} should yield actions, not return {actions!r}")
-        always = self.asks_without_choice
+        asks_always = self.asks_without_choice
 
         def revise() -> None:
-            action = next(actions, None) if always or me.has_choice() else 0
+            action = next(actions, None) if asks_always or me.has_choice() else 0
             if action is None:
                 raise ValueError(f"actions(me) of {type(self).__name__} should never end: `while True`")
             me.assign(action)

@@ -49,8 +49,8 @@ class SpatialAdaptivePlay(LogLinear):
 def categorical(chances: list[float], rng: np.random.Generator) -> int:
     """Draw an index with the given probabilities, using one random number of `rng`."""
     uniform = rng.random()
-    for which in range(len(chances) - 1, 0, -1):
-        if uniform < chances[which]:
-            return which
-        uniform -= chances[which]
-    return 0
+    for index in range(len(chances) - 1, 0, -1):
+        if uniform < chances[index]:
+            return index
+        uniform -= chances[index]
+    return 0  # also if the sum of the chances is a rounding error less than 1

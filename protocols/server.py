@@ -21,10 +21,10 @@ Assumes: links in both directions between the host and every other pursuer, and 
     the host is down, each pursuer continues with its last order. A host that has lost its memory has lost its orders,
     too, and extrapolates the reported actions until it sends new ones. Reports are extrapolated from their time stamps,
     so differences between the clocks cause errors of the predicted positions.
-Takeover: with `takeover`, a pursuer that has had no new order for 3 periods and a round trip reports to the next one by
-    id, and the one whose turn it is becomes the server. All obey the first server in turn, counted from the host, that
-    is not silent, and a server follows another one before it. So the host is the server again as soon as it is up. Each
-    side of a partition has a server of its own.
+Takeover: with `takeover`, a pursuer that has had no new order for 3 periods and a round trip reports to the pursuer of
+    the next id, and becomes the server itself if that id is its own. Of several servers, all obey the first one that is
+    not silent, in order of ids from the host on; a server that hears of an earlier one follows it. The host is
+    therefore the server again as soon as it is up. Each side of a partition has a server of its own.
 Messages: a first report of each pursuer but the host; per period, N - 1 reports of 72 bytes and N - 1 orders of 24
     bytes plus 8 for each evader that is chased; N - 1 orders per change.
 Robust to loss: yes. Reports and orders are repeated every period, and an order older than the newest received is
@@ -131,12 +131,12 @@ class Server(Value):
     def _lead(self, me: Agent, newest: NewestOrders) -> Generator[Any, Any, int]:
         """Decide when reports have arrived, obey the decision, and send it to the others.
 
-        Return the pursuer to follow, if an order of one comes whose turn as the server is before its own.
+        End if an order arrives from a pursuer whose turn as the server is before its own; return that pursuer.
         """
         current = TeamOrder(-1, ())
-        orders: dict[int, list[tuple[int, int]]] = {}
+        orders: dict[int, list[tuple[int, int]]] = {}  # see `_chasers`
         delay = self._delay(me)
-        report_timeout = self._timeout(me) if me.team_size > 1 else 0.0
+        report_timeout = self._timeout(me) if me.team_size > 1 else 0.0  # a pursuer without teammates gets no reports
         last_report = me.now
         for tick in self._ticks(me):
             alarm = me.at(tick)
@@ -155,7 +155,7 @@ class Server(Value):
                 ]
                 me.merge_records(reports)
                 for report in reports:
-                    orders[report.src] = since(report.stamp, orders.get(report.src, []))
+                    orders[report.src] = orders_since(report.stamp, orders.get(report.src, []))
                 if reports:
                     last_report = me.now
                 changed = False
@@ -163,7 +163,7 @@ class Server(Value):
                     chasers = self._chasers(me, orders, delay, current.chasers)
                     if changed := current.number < 0 or chasers != current.chasers:
                         # Receivers compare numbers only of orders sent at the same instant. Numbers are from the clock
-                        # so that each decision in a trace has its own, also after a loss of memory.
+                        # so that no two decisions in a trace share one, also after a loss of memory.
                         current = TeamOrder(max(nanoseconds(me.now), current.number + 1, 0), chasers)
                     apply_order(me, current)
                 if changed or (due and current.number >= 0):
@@ -211,21 +211,21 @@ class Server(Value):
         """
         now, reward = nanoseconds(me.now), me.time_left()
         effect = nanoseconds(me.now + delay)
-        loses_time = me.time_left(delay) < reward  # in a static world the time left is constant
+        loses_time = me.time_left(delay) < reward  # false in a static world, where the time left is constant
         phi: list[dict[int, float]] = []
         for evader in range(1, me.evader_count + 1):
             beliefs = me.beliefs(self.period, evader, orders)
             times = {me.id: me.capture_time(evader)}
             for j, (active, capture_time, _) in beliefs.items():
                 if j in orders:
-                    lost = idle(active, orders[j], evader, now, effect) if loses_time else 0
-                    times[j] = capture_time + seconds(lost)
+                    lost_time = idle_time(active, orders[j], evader, now, effect) if loses_time else 0
+                    times[j] = capture_time + seconds(lost_time)
             phi.append(times)
         chasers = best_chasers(phi, reward)
         chased = {evader: j for evader, j in enumerate(present, start=1) if j is not None and evader in me.evaders()}
         if len(chasers) < len(chased):
-            heard = {me.id, *me.trusted(self.period)}
-            silent = {evader: j for evader, j in chased.items() if j not in heard}
+            reporting = {me.id, *me.trusted(self.period)}
+            silent = {evader: j for evader, j in chased.items() if j not in reporting}
             if silent:
                 chasers = most_chasers(phi, silent, reward)
         return tuple(map(chasers.get, range(1, me.evader_count + 1)))
@@ -238,24 +238,24 @@ def best_chasers(phi: Sequence[Mapping[int, float]], reward: float) -> dict[int,
         phi: for each of the M evaders the capture times, s, of the pursuers that may chase it.
         reward: the time left to the horizon, s.
     """
-    # Trust judges a claim per evader, so a pursuer may be known for one evader and not for another.
+    # Trust judges a claim per evader, so the capture time of a pursuer may be known for some evaders only.
     ids = sorted(set().union(*phi))
     rows = [[times.get(j, inf) for j in ids] for times in phi]
     return {evader: ids[row] for row, evader in matching(rows, reward).items()}
 
 
 def most_chasers(phi: Sequence[Mapping[int, float]], silent: Mapping[int, int], reward: float) -> dict[int, int]:
-    """Return the chasers, by evader (1 .. M), if silent ones may go on: as many as possible, and of these the best.
+    """Return the chasers, by evader (1 .. M), if silent ones may go on: as many as possible, and the best so many.
 
-    A silent chaser counts as one that would just be in time for its evader and late for all others. So it is replaced
-    if another can take its place: it may be silent because it is down.
+    A silent chaser counts as one that would just be in time for its evader and late for all others. It is therefore
+    replaced if another pursuer can take its place, because it may be silent because it is down.
 
     Args:
-        phi: for each of the M evaders the capture times, s, of the pursuers that may chase it; of no silent one.
+        phi: for each of the M evaders the capture times, s, of the pursuers that may chase it, without silent chasers.
         silent: the silent chasers, by evader.
         reward: the time left to the horizon, s.
     """
-    # The bonus of a pair is more than all M pairs are worth without, so their number comes first.
+    # Each pair gets a bonus greater than the worth of M pairs, so that the number of pairs decides first.
     bonus = len(phi) * abs(reward) + 1.0
     pairs = [{j: time - bonus for j, time in times.items() if time < reward} for times in phi]
     for evader, j in silent.items():
@@ -264,13 +264,14 @@ def most_chasers(phi: Sequence[Mapping[int, float]], silent: Mapping[int, int], 
 
 
 def new_orders(messages: Iterable[Message], newest: NewestOrders) -> Iterator[tuple[int, TeamOrder]]:
-    """Yield the orders among the messages that are newer than all from the same sender before, as (sender, order).
+    """Yield, as (sender, order), the orders among the messages that are newer than all before of the same sender.
 
-    An older one that arrives late or twice is no sign that its sender is still there (Chen, Toueg & Aguilera 2002).
+    An older order that arrives late, or an order that arrives twice, is no sign that its sender is still up (Chen,
+    Toueg & Aguilera 2002).
 
     Args:
         messages: in the order of their arrival.
-        newest: what was received before. It is updated.
+        newest: the newest order received before from each sender; updated.
     """
     for message in messages:
         src, order = message.src, message.body
@@ -279,12 +280,12 @@ def new_orders(messages: Iterable[Message], newest: NewestOrders) -> Iterator[tu
             yield src, order
 
 
-def since(sent: int, orders: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Return the order in effect for a pursuer at a time (ns), if any, and the later ones."""
-    return orders[max(sum(begun <= sent for begun, _ in orders) - 1, 0) :]
+def orders_since(sent: int, orders: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Return the order in effect for a pursuer at the time `sent` (ns), if any, and the later ones."""
+    return orders[max(sum(start <= sent for start, _ in orders) - 1, 0) :]
 
 
-def idle(reported: int, ordered: Sequence[tuple[int, int]], evader: int, now: int, effect: int) -> int:
+def idle_time(reported: int, ordered: Sequence[tuple[int, int]], evader: int, now: int, effect: int) -> int:
     """Return the time, ns, for which a pursuer does not chase an evader from now until an order sent now takes effect.
 
     Args:
@@ -295,13 +296,13 @@ def idle(reported: int, ordered: Sequence[tuple[int, int]], evader: int, now: in
         now: the present time, ns.
         effect: the time at which an order sent now takes effect, ns.
     """
-    total, begun, action = 0, now, reported
+    total, counted_until, action = 0, now, reported
     for start, next_action in ordered:
-        if start > begun:
-            total += start - begun if action != evader else 0
-            begun = start
+        if start > counted_until:
+            total += start - counted_until if action != evader else 0
+            counted_until = start
         action = next_action
-    return total + effect - begun if action != evader and effect > begun else total
+    return total + effect - counted_until if action != evader and effect > counted_until else total
 
 
 def apply_order(me: Agent, order: TeamOrder) -> None:

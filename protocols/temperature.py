@@ -91,8 +91,8 @@ class GeometricTau(Value):
 
     def __call__(self, eta: float) -> float:
         """Return 1/tau, 1/s."""
-        coldest = log(self.first / self.floor)
-        return exp(min(-eta * log(self.ratio), coldest)) / self.first
+        exponent = min(-eta * log(self.ratio), log(self.first / self.floor))  # the second one stands for the floor
+        return exp(exponent) / self.first
 
 
 ReheatingEvent = Literal["new_teammate", "silence", "order"]
@@ -118,24 +118,25 @@ class AdaptiveTau(Value):
     def slots_since(self, me: Agent, slot: float) -> Iterator[float]:
         """Yield at each turn the number of slots (of length `slot`, s) since the last reheating event.
 
-        Slots are counted from the start of the run, or from the last restart of the pursuer without memory, until the
-        first reheating event after it.
+        Before the first event, slots are counted from the start of the run, or from the last restart at which the
+        pursuer lost its memory.
         """
-        since, teammates, first = me.now if me.restarts else 0.0, None, [me.id]
+        cooling_start = me.now if me.restarts else 0.0
+        teammates, earliest = None, [me.id]  # of the last turn; None before the first
         while True:
             beliefs = me.beliefs()
-            ahead = [_first(me, evader) for evader in me.evaders()]
+            now_earliest = [_earliest(me, evader) for evader in me.evaders()]
             is_reheated = teammates is not None and (
                 ("new_teammate" in self.reheat_on and bool(beliefs.keys() - teammates))
                 or ("silence" in self.reheat_on and bool(teammates - beliefs.keys()))
-                or ("order" in self.reheat_on and ahead != first)
+                or ("order" in self.reheat_on and now_earliest != earliest)
             )
-            since = me.now if is_reheated else since
-            teammates, first = beliefs.keys(), ahead
-            yield max(me.now - since, 0.0) / slot
+            cooling_start = me.now if is_reheated else cooling_start
+            teammates, earliest = beliefs.keys(), now_earliest
+            yield max(me.now - cooling_start, 0.0) / slot
 
 
-def _first(me: Agent, evader: int) -> int:
+def _earliest(me: Agent, evader: int) -> int:
     """Return the pursuer with the least known capture time for an evader; unknown capture times (nan) do not count."""
     times = {j: belief.capture_time for j, belief in me.beliefs(evader=evader).items()}
     candidates = [(time, j) for j, time in times.items() if not isnan(time)]

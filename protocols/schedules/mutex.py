@@ -76,8 +76,8 @@ class LocalMutex(Value):
     attempts: Annotated[int, Field(ge=1, strict=True)] = 10
     """Number of unanswered requests to a neighbour after which the neighbour is left out.
 
-    With few, losses make neighbours that are up be left out, and these revise at the same time; many delay a revision
-    after a crash.
+    With few attempts, losses leave out neighbours that are up, which may then revise at the same time; many delay a
+    revision after a crash.
 
     If in doubt, use 10, which is enough up to a loss of about 0.3.
     """
@@ -178,8 +178,8 @@ class CriticalSection:
     def _ask_again(self) -> None:
         """Retransmit the request to neighbours that have not replied; leave out those with no attempt left."""
         assert self._own_request is not None
-        for j, asked in list(self._missing.items()):
-            if asked < self._attempts:
+        for j, requests in list(self._missing.items()):
+            if requests < self._attempts:
                 self._missing[j] += 1
                 self._me.send(j, Request(self._own_request), PORT)
             else:
@@ -204,7 +204,7 @@ class CriticalSection:
         if body.stamp == self._own_request and src in self._missing:
             if isinstance(body, Reply):
                 del self._missing[src]
-            else:
+            else:  # the neighbour is up, so its attempts are counted anew
                 self._missing[src] = 0
 
     def _process_request(self, src: int, stamp: Stamp) -> None:

@@ -186,11 +186,11 @@ class Periodic(Value):
 
     def warnings(self, step: float) -> Iterator[tuple[str, str]]:
         """Yield a warning, (key, reason), if the timer is synchronous with the motion step (s)."""
-        multiple = self.period / step
-        if self.jitter == 0.0 and abs(multiple - 2 * round(multiple / 2)) < 1e-6 * multiple:
+        steps = self.period / step
+        if self.jitter == 0.0 and abs(steps - 2 * round(steps / 2)) < 1e-6 * steps:
             yield (
                 "jitter",
-                f"a strictly periodic timer of {round(multiple)} motion steps, an even number, is synchronous with an"
+                f"a strictly periodic timer of {round(steps)} motion steps, an even number, is synchronous with an"
                 " evader that chatters between two pursuers, so possibly no pursuer is active for seconds: give it some"
                 " jitter",
             )

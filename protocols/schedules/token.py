@@ -40,7 +40,7 @@ class _WithToken(Value):
     attempts: Annotated[int, Field(ge=1, strict=True)] = 5
     """Number of transmissions of the token to a neighbour before the neighbour is given up.
 
-    With few, losses make neighbours that are up be skipped; many delay the token at each crashed one.
+    With few attempts, losses make the token skip neighbours that are up; many delay it at each crashed one.
 
     If in doubt, use 5, which is enough up to a loss of about 0.1.
     """
@@ -94,6 +94,6 @@ def metropolis(rng: np.random.Generator, me: Agent, token: Token) -> int | None:
     Pursuer i is the present holder, and d_i the number of its neighbours that are not absent.
     """
     candidates = not_absent(token, me.neighbours())
-    shares = [1.0 / max(len(candidates), len(not_absent(token, me.neighbours(j)))) for j in candidates]
-    index = int(np.searchsorted(np.cumsum(shares), rng.random(), side="right"))
+    probabilities = [1.0 / max(len(candidates), len(not_absent(token, me.neighbours(j)))) for j in candidates]
+    index = int(np.searchsorted(np.cumsum(probabilities), rng.random(), side="right"))
     return candidates[index] if index < len(candidates) else None

@@ -63,7 +63,7 @@ def visited(token: Token, pursuer: int) -> tuple[int, ...]:
 
 
 def neglects(token: Token) -> bool:
-    """Return whether a pursuer that is not absent was last visited over N hops ago; it may think the token lost."""
+    """Return whether a pursuer that is not absent was last visited over N hops ago, and may take the token for lost."""
     return any(last < token.hop - len(token.visits) for j, last in enumerate(token.visits) if j not in token.absent)
 
 

@@ -28,7 +28,7 @@ from desim.pursuit.team.announcements import STARTS, Announcements, Assignment
 from desim.scenario.assumptions import violations
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Motion, Recording
-from protocols.auction import NO_BID, Bid, bid_updater, bids_of, chosen, lists_of, offer, unread
+from protocols.auction import NO_BID, Bid, action_and_bids, bid_updater, bids_of, lists_of, offer, unread
 from protocols.cbaa import CBAA, Claim, greatest, one_each
 from protocols.cbba import CBBA, StampedClaim
 from protocols.dissemination import Flooding
@@ -212,7 +212,7 @@ def test_a_bid_whose_capture_time_is_not_known_is_still_a_bid():
     assert NO_BID.rank < unknown.rank < Bid(7, -9.0).rank
     assert greatest(unknown, {0: NO_BID}) == unknown
     blind = SimpleNamespace(id=0, evaders=lambda: [1], capture_time=lambda _: inf, may_chase=lambda _: False)
-    assert chosen(blind, [unknown]) == (0, [unknown])
+    assert action_and_bids(blind, [unknown]) == (0, [unknown])
 
 
 @pytest.mark.parametrize("auction", AUCTIONS)
@@ -350,14 +350,14 @@ def test_a_pursuer_bids_for_the_evader_it_captures_first_among_those_it_can_win(
     me, phi = puppet(evaders=3), {1: 3.0, 2: 2.0, 3: 4.0}
     me.capture_time, me.time_left, me.id = phi.get, lambda: 9.0, 5
     free = [NO_BID] * 3
-    assert chosen(me, free) == (2, [NO_BID, Bid(5, -2.0), NO_BID])
-    assert chosen(me, [NO_BID, Bid(7, -1.5), NO_BID]) == (1, [Bid(5, -3.0), Bid(7, -1.5), NO_BID])
-    assert chosen(me, [Bid(4, -3.0), Bid(7, -1.5), NO_BID])[0] == 3
-    assert chosen(me, [Bid(6, -3.0), Bid(7, -1.5), NO_BID])[0] == 1
+    assert action_and_bids(me, free) == (2, [NO_BID, Bid(5, -2.0), NO_BID])
+    assert action_and_bids(me, [NO_BID, Bid(7, -1.5), NO_BID]) == (1, [Bid(5, -3.0), Bid(7, -1.5), NO_BID])
+    assert action_and_bids(me, [Bid(4, -3.0), Bid(7, -1.5), NO_BID])[0] == 3
+    assert action_and_bids(me, [Bid(6, -3.0), Bid(7, -1.5), NO_BID])[0] == 1
     me.evaders().remove(2)
-    assert chosen(me, free)[0] == 1
+    assert action_and_bids(me, free)[0] == 1
     me.time_left = lambda: 3.0
-    assert chosen(me, free) == (0, free)
+    assert action_and_bids(me, free) == (0, free)
 
 
 def test_a_winner_named_for_two_evaders_keeps_only_the_better_bid():
