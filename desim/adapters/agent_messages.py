@@ -51,7 +51,7 @@ class AgentMessages(EnvNetwork):
             )
         self._message, self._blank, self._size = message, blank(message), size
         ages = spaces.Box(UNHEARD, np.inf, (self.size,), np.float64)
-        self._heard = {"messages": batch_space(message, self.size), "ages": ages}
+        self._entries = {"messages": batch_space(message, self.size), "ages": ages}
         self._spaces: dict[Any, tuple[ActionSpace, spaces.Dict]] = {}
         for agent in self.row:
             self.spaces_of(agent)
@@ -60,17 +60,17 @@ class AgentMessages(EnvNetwork):
         """Return the spaces of the actions and of the observations of an agent, the same objects at each call."""
         if agent not in self._spaces:
             action = ActionSpace(self._env.action_space(agent), self._message)
-            observation = with_entries(self._env.observation_space(agent), "observation", self._heard)
+            observation = with_entries(self._env.observation_space(agent), "observation", self._entries)
             self._spaces[agent] = action, spaces.Dict(observation)
         return self._spaces[agent]
 
     def reset(self, seed: int | None) -> None:
         """Begin an episode; see `EnvNetwork.reset`."""
-        if self._is_open:
+        if self._is_open:  # other agents may appear in this episode
             self._spaces.clear()
         super().reset(seed)
 
-    def parted(self, agent: Hashable, action: Any) -> tuple[Any, Any]:
+    def split(self, agent: Hashable, action: Any) -> tuple[Any, Any]:
         """Return the action of an agent without its message, and the message; None: it says nothing.
 
         Raises:
@@ -82,7 +82,7 @@ class AgentMessages(EnvNetwork):
                 f"the action of {value_text(agent)} should be a dict with the keys {list(space)} (got"
                 f" {value_text(action)})"
             )
-        rest = {key: value for key, value in action.items() if key != "message"}
+        entries = {key: value for key, value in action.items() if key != "message"}
         body = message = action["message"]
         if message is not None:
             body = _in_box(message, self._message.dtype) if isinstance(self._message, spaces.Box) else message
@@ -90,7 +90,7 @@ class AgentMessages(EnvNetwork):
                 raise ValueError(
                     f"the message of {value_text(agent)} should be in {self._message} (got {value_text(message)})"
                 )
-        return rest if space.keeps_keys else rest["action"], body
+        return entries if space.keeps_keys else entries["action"], body
 
     def say(self, agent: Hashable, message: Any) -> None:
         """Broadcast the message of an agent; None: nothing."""
@@ -98,18 +98,18 @@ class AgentMessages(EnvNetwork):
             self.network.publish(self.node(agent), message, size=self._size)
 
     def hear(self, agent: Hashable, observation: Any) -> Any:
-        """Return an observation with what the agent has heard."""
+        """Return an observation with the newest message of each agent and its age."""
         messages, ages = [self._blank] * self.size, np.full(self.size, UNHEARD)
         for node, received in self.network.latest(self.node(agent)).items():
             row = self.row[node] if self._has_graph else node
             messages[row], ages[row] = received.body, self.network.now - received.sent
-        heard: Any = create_empty_array(self._message, len(messages))
-        heard = concatenate(self._message, messages, heard)
-        return with_entries(observation, "observation", {"messages": heard, "ages": ages})
+        batch: Any = create_empty_array(self._message, len(messages))
+        batch = concatenate(self._message, messages, batch)
+        return with_entries(observation, "observation", {"messages": batch, "ages": ages})
 
 
 def _in_box(message: Any, dtype: Any) -> Any:
-    """Return a message as an array of the numbers of a Box; None if it has others, as 0.5 among integers."""
+    """Return a message as an array of the type of a Box; None if its numbers do not fit, as 0.5 in one of integers."""
     numbers = array_of(message)
     if numbers.dtype.kind not in "biuf":
         return None

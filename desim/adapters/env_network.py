@@ -36,9 +36,9 @@ class EnvNetwork:
         graph: a networkx graph whose nodes are the agents; the nodes of the network are their rows if None.
         capacity: the number of nodes, if the agents are not known: each that appears in an episode takes one.
         seed: the seed of the network until `reset` is given one.
-        at_once: whether all agents transmit at the same instant of a step; a channel on which they then overlap is
-            warned of.
-        **arguments: further arguments of `SteppedNetwork`, except a trace, which is of one episode.
+        at_once: whether all agents transmit at the same instant of a step; if so, a warning is given for a channel on
+            which most of their frames overlap.
+        **arguments: further arguments of `SteppedNetwork`, except a trace, which belongs to a single episode.
 
     Raises:
         ValueError: if an argument is not valid.
@@ -70,7 +70,7 @@ class EnvNetwork:
             raise ValueError(f"capacity should be at least 1 (got {capacity})")
         self._env, self._dt, self._positions_of, self._has_graph = env, dt, positions, graph is not None
         self._root, links = None if seed is None else seed_of(seed), links_argument(links)
-        self._episodes, self._is_open = 0, agents is None
+        self._episodes, self._is_open = 0, agents is None  # open: agents are known only when they appear
         self.row = {agent: row for row, agent in enumerate(agents or ())}
         """The row of each agent that has appeared."""
         self.size = capacity if self._is_open else len(self.row)
@@ -102,29 +102,29 @@ class EnvNetwork:
         """Begin an episode.
 
         Args:
-            seed: the seed of the network; None: another episode of the seed that was given last, or of none.
+            seed: the seed of the network. None: the next episode of the last seed, or a random seed if there is none.
         """
         if seed is not None:
             self._root, self._episodes = seed_of(seed), 0
         if self._root is None:
-            drawn = secrets.randbits(63)
+            episode_seed = secrets.randbits(63)
         elif self._episodes:
-            drawn = int(stream(self._root, "episode", self._episodes).integers(2**63))
+            episode_seed = int(stream(self._root, "episode", self._episodes).integers(2**63))
         else:
-            drawn = self._root
+            episode_seed = self._root
         self._episodes += 1
         self._places = {}
         if self._is_open:
             self.row.clear()
             self._places = dict.fromkeys(self.network.nodes, NOWHERE)
-        self.network.reset(drawn, positions=self._read_positions())
+        self.network.reset(episode_seed, positions=self._read_positions())
 
     def step(self) -> None:
-        """Let the duration of a step pass, in which the agents have moved to where they are now."""
+        """Let the duration of a step pass, during which the agents have moved to their present positions."""
         self.network.step(self._dt, self._read_positions())
 
     def _read_positions(self) -> Any:
-        """Return the positions of the nodes now, by node; None if there is no function for them."""
+        """Return the positions of the nodes now, by node; None without the function `positions`."""
         if self._positions_of is None:
             return None
         places = self._positions_of(self._env)
@@ -146,14 +146,14 @@ class EnvNetwork:
 
 
 def _check_overlap(links: Links, senders: int) -> None:
-    """Warn if most frames overlap that several nodes create at one instant."""
+    """Warn if most of the frames overlap that the nodes create at one instant; random delays separate them."""
     channel = channel_of(links.medium, 0.0)
     if channel is None or type(links.processing.sender) is not Constant:
         return
-    lost = 1.0 - (1.0 - channel.chance) ** (senders - 1)
-    if lost >= MANY:
+    overlapping = 1.0 - (1.0 - channel.chance) ** (senders - 1)
+    if overlapping >= MANY:
         text = (
-            f"network.medium: all agents speak at the same instant of a step, and {100.0 * lost:.0f} % of their frames"
-            " overlap on this channel: a random delay, such as `network.processing.sender`, should separate them"
+            f"network.medium: all agents speak at the same instant of a step, and {100.0 * overlapping:.0f} % of their"
+            " frames overlap on this channel: a random delay, such as `network.processing.sender`, should separate them"
         )
         warn_caller(text)

@@ -16,16 +16,16 @@ class ActionSpace(spaces.Dict):
     """The space of an action with a message. A mask of the environment masks the action.
 
     Args:
-        of_env: the space of the action.
+        env_space: the space of the action.
         message: the space of the message.
 
     Attributes:
         keeps_keys: whether the action is a dict, which keeps its keys; else it has the key `action`.
     """
 
-    def __init__(self, of_env: spaces.Space[Any], message: spaces.Space[Any]):
-        super().__init__(with_entries(of_env, "action", {"message": message}))
-        self.keeps_keys = isinstance(of_env, spaces.Dict)
+    def __init__(self, env_space: spaces.Space[Any], message: spaces.Space[Any]):
+        super().__init__(with_entries(env_space, "action", {"message": message}))
+        self.keeps_keys = isinstance(env_space, spaces.Dict)
 
     def sample(self, mask: Any = None, probability: Any = None) -> dict[str, Any]:
         """Draw an action and a message; a mask without a part for the message is that of the action."""
@@ -38,20 +38,22 @@ class ActionSpace(spaces.Dict):
 
 
 def with_entries(value: Any, name: str, more: dict[str, Any]) -> dict[str, Any]:
-    """Return a value with more keys: its own if it is a dict, or a space of dicts, or else its name.
+    """Return a dict of the entries of `value`, a dict or a Dict space, and of `more`.
+
+    Any other value becomes the entry `name`.
 
     Raises:
-        ValueError: if it has one of the keys already.
+        ValueError: if the value has a key of `more`.
     """
-    parts = dict(value) if isinstance(value, dict | spaces.Dict) else {name: value}
-    if both := sorted(parts.keys() & more.keys()):
-        raise ValueError(f"the {name} of this environment has the key {value_text(both[0])} already")
-    return parts | more
+    entries = dict(value) if isinstance(value, dict | spaces.Dict) else {name: value}
+    if shared := sorted(entries.keys() & more.keys()):
+        raise ValueError(f"the {name} of this environment has the key {value_text(shared[0])} already")
+    return entries | more
 
 
 @singledispatch
 def blank(space: Any) -> Any:
-    """Return an element of a space: zeros where it has them, else what is closest to them.
+    """Return an element of a space: zeros, or the numbers closest to 0 that the space has.
 
     Raises:
         ValueError: if it is a space of another kind.

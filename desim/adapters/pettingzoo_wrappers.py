@@ -11,14 +11,14 @@ from desim.kernel.stepped_network import SteppedNetwork
 
 
 class _Talking:
-    """What both kinds of environments have: the network, and spaces with messages."""
+    """The common part of both wrappers: the network, and spaces with messages."""
 
     env: Any
     _at_once: ClassVar[bool]
     """Whether all agents speak at the same instant of a step."""
 
     def __init__(self, env: Any, links: Any = None, **options: Any):
-        super().__init__(env)  # type: ignore[call-arg]  # that of the wrapper of PettingZoo, which comes next
+        super().__init__(env)  # type: ignore[call-arg]  # this is the wrapper of PettingZoo
         self._messages = AgentMessages(env, links, at_once=self._at_once, **options)
 
     @property
@@ -48,8 +48,8 @@ class _Talking:
 class ParallelMessages(_Talking, BaseParallelWrapper):  # type: ignore[misc]  # it has no types
     """A ParallelEnv whose agents talk over a network.
 
-    In each step all agents speak as they act, the environment steps, the network carries what was said for `dt`
-    seconds, and the observations have what has arrived by then.
+    In each step all agents speak as they act, the environment steps, the network carries the messages for `dt` seconds,
+    and the observations contain the messages that have arrived by then.
 
     Args:
         env: the environment.
@@ -67,13 +67,13 @@ class ParallelMessages(_Talking, BaseParallelWrapper):  # type: ignore[misc]  # 
 
     def step(self, actions: dict[Any, Any]) -> tuple[Any, ...]:
         """Let all agents speak and act; see `pettingzoo.ParallelEnv.step`."""
-        parted = {agent: self._messages.parted(agent, action) for agent, action in actions.items()}
-        # Once all are known to be right, and in the order of the agents: what is drawn for a message depends on the
-        # messages before it, and the order of a dict of actions means nothing.
-        for agent in dict.fromkeys([*self.env.agents, *parted]):
-            if agent in parted:
-                self._messages.say(agent, parted[agent][1])
-        observations, *rest = self.env.step({agent: action for agent, (action, _) in parted.items()})
+        parts = {agent: self._messages.split(agent, action) for agent, action in actions.items()}
+        # Nothing is sent before all actions are checked. The order is that of the agents, and not of the dict, because
+        # the random numbers of a message depend on the messages before it.
+        for agent in dict.fromkeys([*self.env.agents, *parts]):
+            if agent in parts:
+                self._messages.say(agent, parts[agent][1])
+        observations, *rest = self.env.step({agent: action for agent, (action, _) in parts.items()})
         self._messages.step()
         return self._heard(observations), *rest
 
@@ -84,8 +84,8 @@ class ParallelMessages(_Talking, BaseParallelWrapper):  # type: ignore[misc]  # 
 class TurnMessages(_Talking, BaseWrapper):  # type: ignore[misc]  # it has no types
     """An AECEnv whose agents talk over a network.
 
-    In its turn an agent speaks as it acts, the environment steps, and the network carries what was said for `dt`
-    seconds. An observation has what has arrived when it is asked for. The step of an agent that is dead takes no time.
+    In its turn an agent speaks as it acts, the environment steps, and the network carries messages for `dt` seconds. An
+    observation contains the messages that have arrived when it is read. The step of a dead agent takes no time.
 
     Args:
         env: the environment.
@@ -111,7 +111,7 @@ class TurnMessages(_Talking, BaseWrapper):  # type: ignore[misc]  # it has no ty
             self.env.step(None)
         else:
             agent = self.env.agent_selection
-            of_env, message = self._messages.parted(agent, action)
+            env_action, message = self._messages.split(agent, action)
             self._messages.say(agent, message)
-            self.env.step(of_env)
+            self.env.step(env_action)
             self._messages.step()

@@ -1,18 +1,18 @@
 """An environment of Gymnasium whose robot is operated over a network; see `desim.wrap`.
 
-The environment is the robot, node 0, and its world. What chooses the actions is its operator, node 1. In each step the
-operator transmits its action as a command, the robot acts by the newest command that it has received, and what it then
-observes is transmitted back. With a constant latency of d steps each way, an action shows 2 d steps later, rounded up
-for each way, and under ideal links the episodes are those of the environment itself.
+The environment is the robot, node 0, and its world. The learner, which chooses the actions, is its operator, node 1. In
+each step the operator transmits its action as a command, the robot acts by the newest command that it has received, and
+it transmits its new observation back. With a constant latency of d steps each way, the operator observes the effect of
+an action 2 d steps later, with d rounded up. Under ideal links the episodes are those of the environment itself.
 
 An observation becomes a dict:
 
 - `observation`: the newest observation that the operator has received;
 - `age`: (1,) the time since it was made, s;
-- `command_age`: (1,) the age that the command had by which the robot acted before that, s, or -1 if it had none yet.
+- `command_age`: (1,) the age of the command by which the robot acted just before, s, or -1 if it had none yet.
 
 The first observation of an episode is known to the operator. Reward and end of an episode are those of the environment,
-without delay: they judge the operator, and are no message to it.
+without delay, because they judge the operator and are not sent to it.
 """
 
 from copy import deepcopy
@@ -72,7 +72,7 @@ class RemoteControl(gymnasium.Wrapper[dict[str, Any], Any, Any, Any], RecordCons
         """Begin an episode; see `gymnasium.Env.reset`."""
         observation, info = self.env.reset(seed=seed, options=options)
         self._link.reset(seed)
-        self._known = (deepcopy(observation), 0.0, UNHEARD)  # a world may change it in place
+        self._received = (deepcopy(observation), 0.0, UNHEARD)  # a world may change its observation in place
         return self._observed(), info
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
@@ -85,8 +85,8 @@ class RemoteControl(gymnasium.Wrapper[dict[str, Any], Any, Any, Any], RecordCons
         self._link.step()
         network.publish(robot, (observation, network.now, age), size=self._size)
         if (received := network.latest(operator).get(robot)) is not None:
-            self._known = received.body
-        return self._observed(), *rest  # type: ignore[return-value]  # a list has no lengths
+            self._received = received.body
+        return self._observed(), *rest  # type: ignore[return-value]  # the length of a list has no type
 
     def close(self) -> None:
         """Close the environment and the network."""
@@ -94,7 +94,7 @@ class RemoteControl(gymnasium.Wrapper[dict[str, Any], Any, Any, Any], RecordCons
         self.network.close()
 
     def _observed(self) -> dict[str, Any]:
-        observation, made, command_age = self._known
+        observation, made, command_age = self._received
         return {
             "observation": deepcopy(observation),  # a learner may normalise it in place
             "age": np.array([self.network.now - made]),

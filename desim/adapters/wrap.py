@@ -5,9 +5,9 @@ from typing import Any
 from desim.config.arguments import naming_arguments
 from desim.config.extras import naming_extras
 
-ALL = ("dt", "positions", "seed", "size", "faults", "horizon", "can_leave", "walls")
-TALKS, OPERATES = ("message", "graph", "capacity", *ALL), ("idle", *ALL)
-"""The options for an environment of PettingZoo, and for one of Gymnasium."""
+COMMON = ("dt", "positions", "seed", "size", "faults", "horizon", "can_leave", "walls")
+FOR_PETTINGZOO, FOR_GYMNASIUM = ("message", "graph", "capacity", *COMMON), ("idle", *COMMON)
+"""The options for an environment of each library."""
 
 
 @naming_extras()
@@ -31,14 +31,14 @@ def wrap(env: Any, links: Any = None, **options: Any) -> Any:
         message: the gymnasium space of a message, or a number of floats in [-1, 1]; default 1. PettingZoo only.
         idle: the action of the robot until the first command has arrived; default zeros. Gymnasium only.
         positions: function of the environment that returns the positions of its agents, m, as an (n, 2) array in the
-            order of `possible_agents`, or as a dict by agent: one that is missing stays. Of Gymnasium, those of the
-            robot and of its operator, (2, 2). Needed for what depends on them, such as a range.
+            order of `possible_agents`, or as a dict by agent: an agent that is missing has not moved. For Gymnasium,
+            the positions of the robot and of its operator, (2, 2). Needed for models of distance, such as a range.
         graph: a networkx graph whose nodes are the agents; all hear each other if None. PettingZoo only.
         capacity: for an environment without `possible_agents`, the greatest number of agents in an episode; default
             100. `env.rows` has the row of each agent that has appeared. PettingZoo only.
-        seed: the seed of the network until `reset` is given one; drawn anew by each `reset` if None.
+        seed: the seed of the network until `reset` gets one; if None, each `reset` draws a new one.
         size: bytes of a message; computed from its content if None.
-        **options: the above, and `faults`, `horizon`, `can_leave` and `walls` as in `SteppedNetwork`. Faults name an
+        **options: those above, and `faults`, `horizon`, `can_leave` and `walls` as in `SteppedNetwork`. Faults name an
             agent by its row; the robot is 0, and its operator 1.
 
     Raises:
@@ -52,15 +52,15 @@ def wrap(env: Any, links: Any = None, **options: Any) -> Any:
     if isinstance(env, pettingzoo.ParallelEnv):
         from desim.adapters.pettingzoo_wrappers import ParallelMessages
 
-        return ParallelMessages(env, links, **_checked(options, TALKS, "environment of PettingZoo"))
+        return ParallelMessages(env, links, **_checked(options, FOR_PETTINGZOO, "environment of PettingZoo"))
     if isinstance(env, pettingzoo.AECEnv):
         from desim.adapters.pettingzoo_wrappers import TurnMessages
 
-        return TurnMessages(env, links, **_checked(options, TALKS, "environment of PettingZoo"))
+        return TurnMessages(env, links, **_checked(options, FOR_PETTINGZOO, "environment of PettingZoo"))
     if isinstance(env, gymnasium.Env):
         from desim.adapters.remote_control import RemoteControl
 
-        return RemoteControl(env, links, **_checked(options, OPERATES, "environment of Gymnasium"))
+        return RemoteControl(env, links, **_checked(options, FOR_GYMNASIUM, "environment of Gymnasium"))
     name = f"{type(env).__module__}.{type(env).__qualname__}"
     raise TypeError(
         f"wrap takes a pettingzoo.ParallelEnv, a pettingzoo.AECEnv or a gymnasium.Env, got {name}: a simulator of"
@@ -69,7 +69,7 @@ def wrap(env: Any, links: Any = None, **options: Any) -> Any:
 
 
 def _checked(options: dict[str, Any], names: tuple[str, ...], kind: str) -> dict[str, Any]:
-    """Return options; raise TypeError if one has none of some names."""
+    """Return options; raise TypeError if one is not among `names`."""
     if unknown := next((name for name in options if name not in names), None):
         raise TypeError(f"wrap takes no {unknown}= for an {kind}, but {', '.join(names)}")
     return options

@@ -55,7 +55,7 @@ class AECPursuit(Pursuit, AECEnv[str, Any, Any]):
         self._skip_agent_selection: str | None = None
         self._turns = dict.fromkeys(self.agents, 0)
         self.agent_selection = self.agents[0]
-        if self._running.turn is not None:  # otherwise nobody ever decides: the first step ends the episode
+        if self._running.turn is not None:  # otherwise no pursuer ever decides, and the first step ends the episode
             self._select()
         self.infos |= self._infos()
 
@@ -73,13 +73,13 @@ class AECPursuit(Pursuit, AECEnv[str, Any, Any]):
         if self.terminations[agent] or self.truncations[agent]:
             self._was_dead_step(action)
             return
-        chosen = self._checked(agent, action)
+        number = self._checked(agent, action)
         self._cumulative_rewards[agent] = 0.0
-        start, profile = self._begun(), [*self._world.profile]
+        start, profile = self._step_start(), [*self._world.profile]
         self._turns[agent] += 1
         if (me := episode.turn) is not None:
-            profile[me.id] = effect_of(chosen, me)
-            episode.act(chosen)
+            profile[me.id] = effect_of(number, me)
+            episode.act(number)
         self._select()
         self.rewards = dict.fromkeys(self.agents, 0.0)
         for i, reward in self._rewards(start, profile).items():
@@ -87,7 +87,7 @@ class AECPursuit(Pursuit, AECEnv[str, Any, Any]):
             if name in self.rewards:
                 self.rewards[name] = reward
                 self._cumulative_rewards[name] += reward
-        if self._agents_leave or episode.turn is None:  # nobody else is dead
+        if self._agents_leave or episode.turn is None:  # otherwise no agent is dead
             self._deads_step_first()
 
     def agent_iter(self, max_iter: int = 2**63) -> AECIterable[str, Any, Any]:
@@ -109,7 +109,7 @@ class AECPursuit(Pursuit, AECEnv[str, Any, Any]):
             self.terminations[name] = True
         while episode.turn is not None:
             agent = self.possible_agents[episode.turn.id]
-            is_present = not self.terminations.get(agent, True)
+            is_present = not self.terminations.get(agent, True)  # an agent that left in an earlier turn is missing
             if is_present and not self._is_spent(agent):
                 self.agent_selection, self.infos[agent] = agent, self._info(episode.turn)
                 return
@@ -118,7 +118,7 @@ class AECPursuit(Pursuit, AECEnv[str, Any, Any]):
                 self.truncations |= {name: not self.terminations[name] for name in self.agents}
                 break
             episode.act(episode.turn.action)
-        else:
+        else:  # the run has ended
             self.terminations |= dict.fromkeys(self.agents, True)
         self.infos |= self._infos()
 
@@ -147,7 +147,7 @@ class ParallelPursuit(Pursuit, ParallelEnv[str, Any, Any]):
         """
         self._begin(seed)
         self._rounds = 0
-        return self._shown()
+        return self._observations_and_infos()
 
     def step(
         self, actions: Mapping[str, Any]
@@ -169,36 +169,36 @@ class ParallelPursuit(Pursuit, ParallelEnv[str, Any, Any]):
         if not isinstance(actions, Mapping):
             raise TypeError(f"a step takes a dict of the actions of all agents, not a {type(actions).__name__}")
         for name in actions:
-            self._named(name)  # one that has left may be there, a wrong name may not
+            self._checked_name(name)  # an agent that has left may have an action, which is ignored
         if missing := [name for name in self.agents if name not in actions]:
             raise ValueError(f"{missing[0]} has no action: a step takes the actions of all agents")
-        chosen = {self._number_of(name): self._checked(name, actions[name]) for name in self.agents}
-        return self.step_by(lambda me: chosen[me.id])
+        action_of = {self._number_of(name): self._checked(name, actions[name]) for name in self.agents}
+        return self.step_by(lambda me: action_of[me.id])
 
     def step_by(
         self, choose: Callable[[Agent], int]
     ) -> tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
-        """Let a function choose the action of each pursuer that a run asks now, at its turn; see `step`.
+        """Let a function choose the action of each pursuer whose turn is in this round; see `step`.
 
-        A pursuer that has left the episode keeps its action.
+        The function is called at the turn. A pursuer that has left the episode keeps its action.
         """
         episode = self._ready()
         self._rounds += 1
-        start, profile = self._begun(), [*self._world.profile]
+        start, profile = self._step_start(), [*self._world.profile]
         while episode.turn is not None and self._world.now == start.now:
             me = episode.turn
             action = choose(me) if self.possible_agents[me.id] in self.agents else me.action
             profile[me.id] = effect_of(action, me)
             episode.act(action)
-        is_late = episode.turn is not None and self.max_cycles is not None and self._rounds >= self.max_cycles
-        if is_late:
+        is_truncated = episode.turn is not None and self.max_cycles is not None and self._rounds >= self.max_cycles
+        if is_truncated:
             episode.close()
         rewards = self._rewards(start, profile)
-        is_over, leavers = episode.turn is None and not is_late, self._leavers()
-        observations, infos = self._shown()
+        is_over, leavers = episode.turn is None and not is_truncated, self._leavers()
+        observations, infos = self._observations_and_infos()
         present = self.agents
         terminations = {name: is_over or name in leavers for name in present}
-        truncations = {name: is_late and not terminations[name] for name in present}
+        truncations = {name: is_truncated and not terminations[name] for name in present}
         self.agents = [name for name in present if not (terminations[name] or truncations[name])]
         return (
             observations,
@@ -208,13 +208,13 @@ class ParallelPursuit(Pursuit, ParallelEnv[str, Any, Any]):
             infos,
         )
 
-    def _shown(self) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+    def _observations_and_infos(self) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         """Return the observations and infos of all agents."""
         return {name: self.observe(name) for name in self.agents}, self._infos()
 
 
 def effect_of(action: int, me: Agent) -> int:
-    """Return the action that a pursuer has after it has chosen one: one that is not among its options becomes 0."""
+    """Return the action that a pursuer has after its choice `action`, which becomes 0 if it is not an option."""
     return action if action and action in me.options() else 0
 
 

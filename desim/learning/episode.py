@@ -50,8 +50,8 @@ class _Turns:
 class Episode:
     """A run that waits at each turn of a pursuer.
 
-    It is waiting for the action of `turn`, or over. `act` continues it. A copy, or one that was pickled, performs the
-    run again up to the present.
+    An episode is waiting for the action of `turn`, or over. `act` continues it. A copy or an unpickled episode performs
+    the run again up to the same instant.
 
     Args:
         scenario: the experiment; its protocol, a `Rule`, determines when pursuers take their turns.
@@ -67,7 +67,7 @@ class Episode:
 
     def __init__(self, scenario: Scenario, seed: int):
         self._scenario, self._seed, self._turns = scenario, seed, _Turns()
-        self._taken: list[int] = []
+        self._actions: list[int] = []
         self._is_closed, self._has_failed, self._thread = False, False, get_ident()
         played = with_protocol(scenario, played_rule(rule_of(scenario), self._turns))
         self._run = greenlet(_perform)
@@ -89,13 +89,13 @@ class Episode:
             RuntimeError: if another thread began the episode, or the run has failed.
         """
         self.check()
-        self._taken.append(action)
+        self._actions.append(action)
         self._continue(action)
 
     def close(self) -> None:
         """End the run at this instant; later calls have no effect.
 
-        If another thread began the episode, it is only left.
+        A run that another thread began cannot be continued here, so the episode only forgets it.
         """
         if self.turn is not None:
             self._is_closed = True
@@ -112,8 +112,8 @@ class Episode:
             raise RuntimeError("another thread began this episode: call reset() in the thread that calls step()")
 
     def _continue(self, *values: Any) -> None:
-        """Let the run go on with some values, and take the next turn, or the result at the end, from it."""
-        self._run.parent = getcurrent()  # it may be another one than that which began the episode
+        """Continue the run with some values until its next turn, or its result."""
+        self._run.parent = getcurrent()  # the greenlet that calls may be another one than at the last turn
         try:
             answer: Agent | Result = self._run.switch(*values)
         except BaseException:
@@ -125,13 +125,13 @@ class Episode:
             self.turn = answer
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _again, (self._scenario, self._seed, tuple(self._taken), self._is_closed)
+        return _replayed, (self._scenario, self._seed, tuple(self._actions), self._is_closed)
 
 
-def _again(scenario: Scenario, seed: int, taken: Sequence[int], is_closed: bool) -> Episode:
-    """Return an episode after some actions were taken."""
+def _replayed(scenario: Scenario, seed: int, actions: Sequence[int], is_closed: bool) -> Episode:
+    """Return a new episode in which the given actions have been taken."""
     episode = Episode(scenario, seed)
-    for action in taken:
+    for action in actions:
         episode.act(action)
     if is_closed:
         episode.close()
@@ -163,7 +163,7 @@ def rule_of(scenario: Scenario) -> Rule:
 
 
 def played_rule(protocol: Rule, turns: _Turns) -> Rule:
-    """Return a rule in which each action is asked for.
+    """Return a rule whose actions the caller of the episode chooses.
 
     All else is as in the given rule: its schedule, whether pursuers without a choice take their turns, the size of its
     messages.
@@ -176,7 +176,7 @@ def played_rule(protocol: Rule, turns: _Turns) -> Rule:
 
 @lru_cache(maxsize=64)
 def _played_kind(kind: type[Rule]) -> type[Rule]:
-    """Return the class of a rule in which each action is asked for."""
+    """Return the class of the played rules of a kind; see `played_rule`."""
 
     def actions(self: Rule, me: Agent) -> Iterator[int]:
         turns: _Turns = self.__dict__[TURNS]

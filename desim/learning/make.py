@@ -54,7 +54,7 @@ def env(
         TypeError: if `scenario` is neither a scenario nor a path, or its protocol has no turns of pursuers.
         ValueError: if an option is not valid.
         ScenarioError: if the file of the scenario is not valid.
-        OSError: if it cannot be read.
+        OSError: if that file cannot be read.
     """
     from desim.learning.environments import AECPursuit
 
@@ -90,7 +90,7 @@ def parallel_env(
     Any other becomes `rounds`. Pursuers whose clocks are wrong decide at other instants, in steps of their own.
 
     Args:
-        scenario: as in `env`, and so are the other arguments.
+        scenario: as in `env`, as are the other arguments.
         seed: the seed of the first episode.
         reward: the reward of a step.
         observation: the form of observations.
@@ -104,7 +104,7 @@ def parallel_env(
         TypeError: if `scenario` is neither a scenario nor a path, or its protocol has no turns of pursuers.
         ValueError: if an option is not valid.
         ScenarioError: if the file of the scenario is not valid.
-        OSError: if it cannot be read.
+        OSError: if that file cannot be read.
     """
     from desim.learning.environments import ParallelPursuit
 
@@ -121,7 +121,7 @@ def parallel_env(
 
 
 def _scenario(scenario: Any, function: str) -> Scenario:
-    """Return a scenario, given it or the path of its file; None: that of Lee & Bakolas."""
+    """Return a scenario, given the scenario or the path of its file; None: that of Lee & Bakolas."""
     if scenario is None:
         return Scenario()
     if isinstance(scenario, str | PathLike):

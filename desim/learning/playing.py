@@ -14,23 +14,23 @@ if TYPE_CHECKING:
 def play(env: AECPursuit | ParallelPursuit, rule: Rule, seed: int | None = None) -> Result:
     """Let a rule decide for all pursuers of an environment, and return the run.
 
-    The rule gets the agents themselves, and each decides when a run would ask it. So the run is that of the scenario of
-    the environment with this rule. A pursuer that restarts without memory restarts the rule.
+    The rule gets the agent of each pursuer, and chooses whenever a run would ask it. The episode is therefore the run
+    of the environment's scenario under this rule. A pursuer that restarts without memory restarts the rule.
 
     Args:
         env: the environment; it is reset.
         rule: the rule.
         seed: the seed of the episode; see `reset`.
     """
-    memories: dict[tuple[int, int], Iterator[int]] = {}
+    actions_of: dict[tuple[int, int], Iterator[int]] = {}  # by pursuer and number of restarts
 
     def choose(me: Agent) -> int:
         if me.global_state.broken()[me.id] or not (rule.asks_without_choice or me.has_choice()):
             return 0  # a run does not ask the rule, either
-        memory = memories.get((me.id, me.restarts))
-        if memory is None:
-            memory = memories[me.id, me.restarts] = iter(rule.actions(me))
-        return next(memory)
+        actions = actions_of.get((me.id, me.restarts))
+        if actions is None:
+            actions = actions_of[me.id, me.restarts] = iter(rule.actions(me))
+        return next(actions)
 
     env.reset(seed=seed)
     if isinstance(env, ParallelPursuit):

@@ -36,7 +36,7 @@ NO_EPISODE = "there is no episode: call reset() first"
 
 
 class StepStart(NamedTuple):
-    """The start of a step, of which the end is still open."""
+    """The start of a step that has not ended yet."""
 
     now: int
     """ns"""
@@ -82,11 +82,11 @@ class Pursuit:
         max_cycles = None if max_cycles is None else whole(max_cycles, "max_cycles")
         if max_cycles is not None and max_cycles < 1:
             raise ValueError(f"max_cycles should be at least 1 (got {max_cycles})")
-        rule_of(scenario)  # it is refused here, and not at the first episode
+        rule_of(scenario)  # a protocol without turns is refused here, not at the first episode
         self.scenario = scenario
-        self._played = scenario if render_mode is None else with_recordings(scenario)
+        self._played_scenario = scenario if render_mode is None else with_recordings(scenario)
         self._reward, self._agents_leave = reward_named(reward), agents_leave
-        self._is_of_game, self._remembered = isinstance(reward, str), Remembered()
+        self._has_own_reward, self._remembered = not isinstance(reward, str), Remembered()
         self.max_cycles, self.render_mode = max_cycles, render_mode
         self.possible_agents = [f"pursuer_{i}" for i in range(scenario.team.count)]
         self._ids = {name: i for i, name in enumerate(self.possible_agents)}
@@ -104,14 +104,14 @@ class Pursuit:
 
     def observation_space(self, agent: str) -> Space[Any]:
         """Return the space of observations of a pursuer, always the same object."""
-        return self.observation_spaces[self._named(agent)]
+        return self.observation_spaces[self._checked_name(agent)]
 
     def action_space(self, agent: str) -> Discrete:
         """Return the space of actions of a pursuer, always the same object: 0 (inactive), or the evader to chase."""
-        return self.action_spaces[self._named(agent)]
+        return self.action_spaces[self._checked_name(agent)]
 
     def observe(self, agent: str) -> Any:
-        """Return what a pursuer knows now, in the space of its observations; nothing changes by it."""
+        """Return what a pursuer knows now, in the space of its observations; the call changes nothing."""
         return self._spaces.observed(self.pursuer(agent))
 
     def state(self) -> Vector:
@@ -124,18 +124,18 @@ class Pursuit:
 
     @property
     def result(self) -> Result:
-        """The run, for metrics and pictures; while the episode lasts, that up to now."""
+        """The run, for metrics and pictures; while the episode lasts, the run up to now."""
         if self._running.result is not None:
             return self._running.result
         assert self._seed is not None
         trace, world = Trace(), self._world
         trace.events = list(self._running.simulation.trace.events)
-        if self._played.record.trajectory:
+        if self._played_scenario.record.trajectory:
             places = tuple((x, y) for x, y in coordinates(world.players.positions()).tolist())
             trace.events.append(Sampled(world.now, places[world.size :], places[: world.size]))
         trace.events += self._running.simulation.counts()
         trace.events.append(Ended(world.now, "stopped", None))
-        return Result(self._played, self._seed, trace)
+        return Result(self._played_scenario, self._seed, trace)
 
     @naming_extras()
     def render(self) -> NDArray[np.uint8] | str | None:
@@ -185,9 +185,9 @@ class Pursuit:
 
     def _number_of(self, agent: str) -> int:
         """Return the id of a pursuer, given its name."""
-        return self._ids[self._named(agent)]
+        return self._ids[self._checked_name(agent)]
 
-    def _named(self, agent: Any) -> str:
+    def _checked_name(self, agent: Any) -> str:
         """Return the name of a pursuer; KeyError if there is none with this name."""
         if not isinstance(agent, str) or agent not in self._ids:
             raise KeyError(
@@ -200,8 +200,8 @@ class Pursuit:
         """Begin the next episode.
 
         Args:
-            seed: its seed; None: that of the constructor, and then those of the runs of the last seed that was given.
-                Without any, the first seed is random.
+            seed: its seed. None: the first time the seed of the constructor, or a random one if there is none; later
+                the seed of the next run of the last root seed.
         """
         if seed is not None:
             self._root, self._number = seed_of(seed), 0
@@ -210,8 +210,8 @@ class Pursuit:
         self._seed = run_seed(self._root, self._number) if self._number else self._root
         self._number += 1
         self.close()
-        self._episode = self._start = None  # if the run fails at once, no old one is left
-        self._episode = Episode(self._played, self._seed)
+        self._episode = self._start = None  # if the run fails at once, no old episode is left
+        self._episode = Episode(self._played_scenario, self._seed)
         if self._remembered.has_changed(self._reward):
             text = (
                 "reward: it has changed since the first episode, so an episode of the same seed may have other rewards;"
@@ -231,8 +231,8 @@ class Pursuit:
             )
         return int(number)
 
-    def _begun(self) -> StepStart:
-        """Return the start of the step that begins now: the last one, if it began at this instant, too."""
+    def _step_start(self) -> StepStart:
+        """Return the start of the step that begins now; steps share it until time passes or an evader is captured."""
         world, start = self._world, self._start
         if start is None or start.now != world.now or start.at_large is not world.at_large:
             times = tuple(body.capture_times(world.now) for body in world.bodies)
@@ -240,18 +240,19 @@ class Pursuit:
         return start
 
     def _rewards(self, start: StepStart, profile: Sequence[int]) -> Mapping[int, float]:
-        """Return the rewards by pursuer of a step that ends now; a pursuer that is not among them gets 0.
+        """Return the rewards by pursuer of a step that ends now; a pursuer that is missing gets 0.
 
         Args:
             start: the start of the step.
             profile: the actions after its decisions.
         """
-        (now, times, before), world, is_last = start, self._world, self._running.turn is None
-        if self._is_of_game and (now == world.now or not any(profile)):
-            return {}  # utilities are integrated over the step, and that of a team in which nobody chases is 0
-        captured = tuple(sorted(set(before).difference(world.at_large)))
-        span, left, horizon = (seconds(now), seconds(world.now)), world.time_left(now), self.scenario.horizon
-        return rewards_of(self._reward, Step(*span, tuple(profile), times, left, horizon, captured, is_last))
+        (begun, times, at_large), world, is_last = start, self._world, self._running.turn is None
+        if not self._has_own_reward and (begun == world.now or not any(profile)):
+            return {}  # utilities are integrated over the step, and without a chaser they are 0
+        captured = tuple(sorted(set(at_large).difference(world.at_large)))
+        time_left, horizon = world.time_left(begun), self.scenario.horizon
+        ends = seconds(begun), seconds(world.now)
+        return rewards_of(self._reward, Step(*ends, tuple(profile), times, time_left, horizon, captured, is_last))
 
     def _leavers(self) -> list[str]:
         """Return the agents that leave now, because their robots are down."""

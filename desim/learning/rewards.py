@@ -24,7 +24,7 @@ class Step(NamedTuple):
     """The time between two turns, during which the pursuers keep the actions that they have at its start.
 
     The first step of an episode begins at the first turn, and the last one ends with the episode.
-    What happens in a step without a decision, as a capture or a crash, changes the actions of the next one.
+    A capture or a crash during a step may change actions without a decision; the next step begins with these.
     """
 
     start: float
@@ -55,13 +55,13 @@ Reward = Callable[[Step], float | Sequence[float]]
 
 
 def team(step: Step) -> float:
-    """Return the global utility of the game at the start of a step, times its share of the horizon, s."""
+    """Return the global utility of the game at the start of a step, times the share of the step in the horizon, s."""
     utility = welfare(np.transpose(step.capture_times), step.profile, step.time_left) if any(step.profile) else 0.0
     return utility * step.duration / step.horizon
 
 
 def wonderful_life(step: Step) -> list[float]:
-    """Return the (N,) wonderful-life utilities at the start of a step, times its share of the horizon, s.
+    """Return the (N,) wonderful-life utilities at the start of a step, times the share of the step in the horizon, s.
 
     The utility of a pursuer is its marginal contribution to the global utility: the potential game of Lee & Bakolas.
     """
@@ -70,14 +70,14 @@ def wonderful_life(step: Step) -> list[float]:
 
 
 def _wonderful_life(step: Step) -> dict[int, float]:
-    """Return the wonderful-life utilities of those that chase, by pursuer; see `wonderful_life`."""
+    """Return the wonderful-life utility of each pursuer that chases; see `wonderful_life`."""
     share = step.duration / step.horizon
     utilities: dict[int, float] = {}
     for evader, times in enumerate(step.capture_times, start=1):
         chasing = [i for i, action in enumerate(step.profile) if action == evader and times[i] < inf]
-        finite = [times[i] for i in chasing]
+        phi = [times[i] for i in chasing]
         for k, i in enumerate(chasing):
-            utilities[i] = share * gain(times[i], finite[:k] + finite[k + 1 :], step.time_left)
+            utilities[i] = share * gain(phi[k], phi[:k] + phi[k + 1 :], step.time_left)
     return utilities
 
 
@@ -102,12 +102,12 @@ def reward_named(reward: Any) -> Reward:
 
 
 def rewards_of(reward: Reward, step: Step) -> Mapping[int, float]:
-    """Return the rewards of a step by pursuer; a pursuer that is not among them gets 0.
+    """Return the rewards of a step by pursuer; a pursuer that is missing gets 0.
 
     Raises:
         ValueError: if a user's function returns neither a finite number nor one for each pursuer.
     """
-    if reward is wonderful_life:  # few chase, and the check below takes longer
+    if reward is wonderful_life:  # as a rule few pursuers chase, and the check below takes longer
         return _wonderful_life(step)
     answer: Any = reward(step)
     count = len(step.profile)

@@ -43,14 +43,14 @@ class Spaces:
         self._vectors = Box(np.array(low, np.float32), np.array(high, np.float32))
         players = [f"pursuer_{i}" for i in range(self._pursuers)], [f"evader_{j + 1}" for j in range(self._evaders)]
         ranges: dict[str, tuple[float, float]] = {"time_left": (0.0, scenario.horizon)}
-        for names, last in zip(players, ("down", "captured"), strict=True):
+        for names, flag in zip(players, ("down", "captured"), strict=True):
             for name in names:
                 ranges[f"{name}.x"] = centre.real - extent, centre.real + extent
                 ranges[f"{name}.y"] = centre.imag - extent, centre.imag + extent
-                ranges[f"{name}.{last}"] = 0.0, 1.0
+                ranges[f"{name}.{flag}"] = 0.0, 1.0
         ranges |= {f"{name}.action": (0.0, float(self._evaders)) for name in players[0]}
         self.state_names = tuple(ranges)
-        low, high = ([bound[k] for bound in ranges.values()] for k in (0, 1))
+        low, high = ([bounds_of_number[k] for bounds_of_number in ranges.values()] for k in (0, 1))
         self.state = Box(np.array(low, np.float32), np.array(high, np.float32))
 
     def of_observations(self) -> Space[Any]:
@@ -64,12 +64,12 @@ class Spaces:
         return Discrete(self._evaders + 1)
 
     def observed(self, me: Agent) -> Any:
-        """Return the observation of a pursuer now; nothing changes by it."""
+        """Return the observation of a pursuer now; the call changes nothing."""
         vector = _within(self._vectors, observation(me, omniscient=self._omniscient))
         return {"observation": vector, "action_mask": self.mask(me)} if self._with_masks else vector
 
     def mask(self, me: Agent) -> Mask:
-        """Return the mask of the actions of a pursuer now; one that is down can only be inactive."""
+        """Return the mask of the actions of a pursuer now; a pursuer that is down can only be inactive."""
         options = (0,) if me.global_state.state.broken[me.id] else tuple(me.options())
         if options not in self._masks:
             self._masks[options] = np.isin(np.arange(self._evaders + 1), options).astype(np.int8)
@@ -77,28 +77,28 @@ class Spaces:
 
     def state_of(self, state: WorldState) -> Vector:
         """Return the true state of the world now, in the order of `state_names`."""
-        places = [(place.real, place.imag) for place in state.players.positions().tolist()]
+        places = [(place.real, place.imag) for place in state.players.positions().tolist()]  # pursuers, then evaders
         pursuers = [(*place, down) for place, down in zip(places, state.broken.tolist(), strict=False)]
-        captured = [(*places[state.size + k], body.captured is not None) for k, body in enumerate(state.bodies)]
-        players = [number for numbers in (*pursuers, *captured) for number in numbers]
+        evaders = [(*places[state.size + k], body.captured is not None) for k, body in enumerate(state.bodies)]
+        players = [number for numbers in (*pursuers, *evaders) for number in numbers]
         return _within(self.state, [state.time_left(state.now), *players, *state.profile])
 
 
 def _within(space: Box, numbers: list[float]) -> Vector:
-    """Return numbers as a vector in a space; what lies beyond its bounds is moved to them."""
+    """Return numbers as a vector in a space, clipped to its bounds."""
     vector: Vector = np.array(numbers, dtype=np.float32)
     return np.minimum(np.maximum(vector, space.low), space.high)  # faster than np.clip
 
 
 def reach_of(scenario: Scenario) -> tuple[complex, float]:
-    """Return a point, m, and the greatest distance of a coordinate of any player from it during a run, m."""
+    """Return the centre and half the side, m, of a square that no player leaves during a run."""
     team, evaders = scenario.team, scenario.evaders
     motions = [*team.relays.values(), *(evader.record for evader in evaders if evader.record is not None)]
     places = [*(team.positions if isinstance(team.positions, tuple) else ())]
     places += [evader.position for evader in evaders if evader.position is not None]
     places += [(motion.start.real, motion.start.imag) for motion in motions]
-    in_boxes = [*team.box, *(number for evader in evaders for number in evader.box)]
-    xs, ys = ([*in_boxes, *(place[k] for place in places)] for k in (0, 1))
+    box_ends = [*team.box, *(end for evader in evaders for end in evader.box)]  # the same for x and y
+    xs, ys = ([*box_ends, *(place[k] for place in places)] for k in (0, 1))
     centre = complex((min(xs) + max(xs)) / 2.0, (min(ys) + max(ys)) / 2.0)
     speeds = [team.top_speed, *(evader.speed for evader in evaders), *(motion.top_speed for motion in motions)]
     path = (max(speeds) + scenario.environment.top_speed) * scenario.horizon
