@@ -165,7 +165,7 @@ if TYPE_CHECKING:
     from desim.view.pictures.run_figure import plot as plot
 
 
-def _deferred(module: str, name: str) -> Callable[..., Any]:
+def _imported_later(module: str, name: str) -> Callable[..., Any]:
     """Return a function that calls a function of a module; the module is imported at the first call."""
 
     def call(*arguments: Any, **options: Any) -> Any:
@@ -182,25 +182,27 @@ def _kinds_of_protocols() -> Mapping[str, Mapping[str, str]]:
     return KINDS
 
 
-ENVIRONMENTS |= {name: _deferred("desim.learning.make", name) for name in ("env", "parallel_env")}
-MARGINS["margin"] = _deferred("desim.analysis.properties", "margin")
-PICTURES["run"] = _deferred("desim.view.pictures.run_figure", "html_picture")
-WORDINGS["call"] = _deferred("desim.config.key_errors", "problems_of_call")
+# Lower packages look these functions of higher ones up in tables, so that they import no package above them.
+ENVIRONMENTS |= {name: _imported_later("desim.learning.make", name) for name in ("env", "parallel_env")}
+MARGINS["margin"] = _imported_later("desim.analysis.properties", "margin")
+PICTURES["run"] = _imported_later("desim.view.pictures.run_figure", "html_picture")
+WORDINGS["call"] = _imported_later("desim.config.key_errors", "problems_of_call")
 KINDS_OF["protocols"] = _kinds_of_protocols
 explain_hidden_packages()
 _HOMES = homes_of_exports(__file__)
-"""The module of each public name. It is imported on first access, so that `desim --help` does not load numpy."""
+"""The module of each public name; imported on first access, so that `desim --help` does not load numpy."""
 __all__ = sorted(_HOMES.keys() - {"open"})  # a star import keeps the built-in `open`
 
 
-def _elsewhere() -> dict[str, str]:
+def _import_hints() -> dict[str, str]:
     """Return, by names that users look for in this package, what to write instead."""
     protocols = homes_of_exports(str(package_folder("protocols") / "__init__.py"))
-    imports = {name: f"from protocols import {name}" for name in protocols}
-    imports["SAP"] = imports["SpatialAdaptivePlay"]
-    others = {"simulate": "run", "Simulation": "run", "Simulator": "run", "read": "open", "load_scenario": "load"}
-    others |= {"Network": "Links", "Robot": "Team", "Pursuers": "Team", "Experiment": "Scenario", "Config": "Scenario"}
-    return imports | {name: f"from desim import {here}" for name, here in others.items()}
+    hints = {name: f"from protocols import {name}" for name in protocols}
+    hints["SAP"] = hints["SpatialAdaptivePlay"]
+    synonyms = {"simulate": "run", "Simulation": "run", "Simulator": "run", "read": "open", "load_scenario": "load"}
+    synonyms |= {"Network": "Links", "Robot": "Team", "Pursuers": "Team"}
+    synonyms |= {"Experiment": "Scenario", "Config": "Scenario"}
+    return hints | {synonym: f"from desim import {name}" for synonym, name in synonyms.items()}
 
 
 COMMANDS_ONLY = ("check", "keys", "live", "merge", "netem", "new", "report", "schema", "submit")
@@ -219,9 +221,9 @@ def __getattr__(name: str) -> object:
     if name in COMMANDS_ONLY:
         raise AttributeError(f"module 'desim' has no attribute {name!r}: `desim {name}` is a command")
     if name not in _HOMES:
-        raise missing_export("desim", name, _HOMES, _elsewhere())
+        raise missing_export("desim", name, _HOMES, _import_hints())
     if (home := _HOMES[name]) not in sys.modules:
-        check_visible("protocols")
+        check_visible("protocols")  # many modules import it
     with naming_extras():
         return getattr(import_module(home), name)
 

@@ -29,14 +29,14 @@ class CaptureForecast:
         capture: Callable[[EvaderBody, int], None],
     ):
         self._env, self._state, self._test, self._capture = env, state, test, capture
-        self._ahead: simpy.Event | None = None
+        self._scheduled: simpy.Event | None = None
 
     def update(self) -> None:
         """Predict the first capture in this motion step from the present velocities, and schedule it.
 
         The previous prediction is dropped. A static game has no captures.
         """
-        self._ahead = None
+        self._scheduled = None
         state = self._state
         if state.static:
             return
@@ -48,10 +48,10 @@ class CaptureForecast:
                 first, body = contact, state.body(evader)
         if first is not None:
             after, capturer = first
-            self._ahead = Instant(self._env, min(now + nanoseconds(after), end), Phase.CAPTURE)
-            self._ahead.callbacks.append(lambda event: self._happen(event, body, capturer))
+            self._scheduled = Instant(self._env, min(now + nanoseconds(after), end), Phase.CAPTURE)
+            self._scheduled.callbacks.append(lambda event: self._happen(event, body, capturer))
 
     def _happen(self, event: simpy.Event, body: EvaderBody, capturer: int) -> None:
         """Capture an evader, unless a later prediction has replaced this one."""
-        if event is self._ahead:
+        if event is self._scheduled:
             self._capture(body, capturer)

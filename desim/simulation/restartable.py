@@ -38,7 +38,7 @@ class RestartableProcess(simpy.Process):
             Exception: any exception of the behaviour, with a note that names the pursuer and the time of its clock.
         """
         pursuer = agent.id
-        awaited: simpy.Event = agent.at(agent.now, phase)  # of the behaviour, or the instant at which it continues
+        awaited: simpy.Event = agent.at(agent.now, phase)  # what the behaviour waits for, or when it (re)starts
         missed: simpy.Event | None = None  # the awaited event, if it happened while the robot was down
         while True:
             try:
@@ -96,16 +96,17 @@ def _restored_id_error(agent: Agent, pursuer: int) -> AttributeError:
     )
 
 
-OF_METHOD = re.compile(r"'(?:method|function)' object|operand .*'(?:method|function)'")
-"""Finds in a message of Python that a method was used like a value."""
-EVENTS = {"Event", "Instant"}
+METHOD_AS_VALUE = re.compile(r"'(?:method|function)' object|operand .*'(?:method|function)'")
+"""Finds in a message of Python that a method was used as a value."""
+EVENT_CLASSES = {"Event", "Instant"}
+"""The classes that Python's message names if a behaviour writes `yield from` before an event."""
 NOT_ITERABLE = re.compile(r"'(\w+)' object is not iterable")
-OF_CALL = re.compile(r"(\w+)\.([^\W_]\w*)\(\) ")
+WRONG_CALL = re.compile(r"(\w+)\.([^\W_]\w*)\(\) ")
 """Finds in a message of Python the class and the name of a public method that was called with wrong arguments."""
 
 
 def _advice(error: TypeError | AttributeError) -> str:
-    """Return what to write in a protocol instead of what Python's message is about; "" if that is not known."""
+    """Return what to write in a protocol instead of the code that raised an error; "" for an unknown mistake."""
     message, owner, name = str(error), getattr(error, "obj", None), getattr(error, "name", None)
     if isinstance(owner, HintedItems) and isinstance(name, str) and not hasattr(type(owner), name):
         return str(missing_attribute(owner, name))
@@ -113,13 +114,13 @@ def _advice(error: TypeError | AttributeError) -> str:
     if owner is not None and is_ours(type(owner)) and not has_advice:
         names = sorted(name for name in set(dir(owner)) - set(dir(tuple)) if not name.startswith("_"))
         return f"{with_article(type(owner).__name__)} has {', '.join(names)}"
-    if OF_METHOD.search(message):
+    if METHOD_AS_VALUE.search(message):
         return "a method of a pursuer is called, me.position() for instance"
     if re.search("'complex'|complex object", message):
         return "a position is a complex number: its x is .real, its y is .imag, and abs(a - b) is a distance"
-    if (kind := NOT_ITERABLE.search(message)) and kind[1] in EVENTS:
+    if (kind := NOT_ITERABLE.search(message)) and kind[1] in EVENT_CLASSES:
         return "an event is waited for with yield: `yield me.sleep(0.1)`, not `yield from`"
-    call = OF_CALL.match(message)
+    call = WRONG_CALL.match(message)
     method = getattr(Agent, call[2], None) if call and call[1] in (kind.__name__ for kind in Agent.__mro__) else None
     if call is None or method is None:
         return ""

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 ON_RESULTS = frozenset({"export", "plot", "replay", "save", "show", "summary", "write"})
-"""What users try to call on a result, and what functions do, to which the result is passed."""
+"""Methods that users look for in a result; there are functions for them, which take the result."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -49,7 +49,7 @@ class Result(HintedAttributes):
     trace: Trace
 
     def __repr__(self) -> str:
-        return f"<{type(self).__name__} of {escaped(self.scenario.name)}, seed {self.seed}: {self._ended}>"
+        return f"<{type(self).__name__} of {escaped(self.scenario.name)}, seed {self.seed}: {self._outcome}>"
 
     def _repr_html_(self) -> str:
         """Return a table for notebooks: scenario, seed, protocol, outcome and number of events.
@@ -60,7 +60,7 @@ class Result(HintedAttributes):
             "scenario": self.scenario.name,
             "seed": str(self.seed),
             "protocol": self.scenario.protocol_name,
-            "ended": self._ended,
+            "ended": self._outcome,
             "events": f"{len(self.trace):,}",
         }
         return html_properties(rows) + picture_of("run", self)
@@ -74,14 +74,14 @@ class Result(HintedAttributes):
         )
 
     @property
-    def _ended(self) -> str:
+    def _outcome(self) -> str:
         """The outcome of the run as text."""
         ends = self.trace.of(Ended)
         return outcome_of(ends[-1], len(self.trace.of(Captured)), len(self.scenario.evaders)) if ends else "not yet"
 
 
 def outcome_of(end: Ended, captures: int, evaders: int) -> str:
-    """Return the outcome of a run as text: the number of captures, if there are several evaders, and its end."""
+    """Return the outcome of a run as text: how it ended and, if there are several evaders, the number of captures."""
     captured = f"captured {captures} of {evaders}" if evaders > 1 else ""
     if end.reason == "captured":
         how = f"{captured}, the last by" if captured else "captured by"
@@ -104,7 +104,7 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
         watchers: called with each event as it happens; one that returns True ends the run.
 
     Raises:
-        TypeError: if it is not a scenario; the message says what to write instead.
+        TypeError: if `scenario` is something else; the message says what to write instead.
         ValueError: if the seed is negative or not an integer.
         TimedOut: if the caller set a time limit (`desim.simulation.watchdog.within`) and it is exceeded; the text lists
             what each process is waiting for.
@@ -115,7 +115,7 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
 
 
 class Simulation(NamedTuple):
-    """A run that begins: what a caller may look at while it lasts."""
+    """The parts of a run that a caller may look at while the run lasts."""
 
     agents: "Sequence[Agent]"
     """(N,) the agents of the pursuers."""
@@ -124,7 +124,7 @@ class Simulation(NamedTuple):
     trace: Trace
     """The events so far."""
     counts: "Callable[[], list[Event]]"
-    """Returns the counts of messages up to now, as the trace has them at its end."""
+    """Returns the counts of messages up to now; the trace of a finished run has these events."""
     stop: "Callable[[], object]"
     """Ends the run after all other events of this instant."""
 
@@ -138,7 +138,7 @@ def run_observed(
         scenario: the experiment.
         seed: seed of every random stream.
         watchers: called with each event as it happens; one that returns True ends the run.
-        begins: called once, before the first event.
+        begins: called once with the parts of the run, before its first event.
     """
     env = Clock()
     end = RunEnd(env)
@@ -161,8 +161,8 @@ def _simulate(
 ) -> None:
     """Connect the parts of a simulation and let it run to its end; see `run`."""
     state = initial_state(env, scenario, seed)
-    built = make_network(env, scenario, state, seed, trace)
-    network, clocks, faults = built
+    team_network = make_network(env, scenario, state, seed, trace)
+    network, clocks, faults = team_network
     sensor = _sensor(scenario, state, network, clocks, env, seed)
     views: Sequence[View] = [View(state, scenario.prune)] * state.size if sensor is None else sensor.views
     world = World(env, scenario, state, views, trace, end, sensor)
@@ -178,7 +178,7 @@ def _simulate(
     sync = scenario.clocks.sync
     if scenario.protocol_traits.embodied and isinstance(sync, TwoWay):
         Synchroniser(env, network, clocks, sync, seed, trace, voice.send)
-    agents, judges = make_agents(env, scenario, seed, built, views, global_state, trace, voice)
+    agents, judges = make_agents(env, scenario, seed, team_network, views, global_state, trace, voice)
     team = TeamProcesses(env, scenario, world, dict(enumerate(agents)), judges, sensor, liars)
     inject(faults, env, network, trace, crashed=team.crashed, recovered=team.recovered, targets=chasers)
 
@@ -197,7 +197,7 @@ def _simulate(
         error.add_note(interrupted_at(env, error))
         raise
     except SystemExit as error:
-        notes = getattr(error, "__notes__", [])
+        notes = getattr(error, "__notes__", [])  # a `RestartableProcess` adds them to errors of its behaviour
         who = "the protocol" if notes else "code of the scenario"
         raise RuntimeError(" ".join([f"{who} called exit({value_text(error.code)})", *notes])) from error
     world.sample()
@@ -208,7 +208,7 @@ def _simulate(
 
 
 def _chasers(truth: View) -> list[int]:
-    """Return the pursuers that chase, those that would capture first first."""
+    """Return the pursuers that chase an evader, in the order in which they would capture it."""
     chasing: defaultdict[int, list[int]] = defaultdict(list)
     for pursuer, evader in enumerate(truth.state.profile):
         if evader:

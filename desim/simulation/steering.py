@@ -17,9 +17,10 @@ from desim.pursuit.sensing.world_state import Actions, WorldState
 
 
 class Steering:
-    """Sets the velocities of all players: a guidance law those of pursuers, recorded paths those of relays.
+    """Sets the velocities of all players.
 
-    Evaders have those that their strategies choose. A relay is a pursuer that never chases.
+    A guidance law gives those of pursuers, a strategy those of each evader, and recorded paths those of relays. A relay
+    is a pursuer that never chases.
 
     Args:
         state: the true state of the world.
@@ -30,8 +31,8 @@ class Steering:
             position at the start.
 
     Attributes:
-        turns: when (ns) each pursuer comes to a corner of a wall within this motion step, at which it is to be
-            redirected.
+        turns: for each pursuer that comes to a corner of a wall within this motion step, the time (ns) at which it
+            arrives there and is to be redirected.
     """
 
     def __init__(
@@ -44,24 +45,25 @@ class Steering:
         evader_first: bool,
     ):
         self._players, self._targets, self._law = state.players, state.bodies, law
-        self._speeds, self._speed = state.speeds, state.speeds.tolist()
+        self._speeds, self._speed_of = state.speeds, state.speeds.tolist()
         self._evader_first, self._sensor, self._relays = evader_first, sensor, state.relays
         self._dynamics, self._radius, self._has_inertia = state.dynamics, state.radius, not state.dynamics.is_simple
         self._environment, self._carried, self._has_flow = state.environment, carried, not state.environment.is_still
         self._walled = state.space.walled
         self._is_plain = not (self._has_inertia or self._has_flow or self._walled is not None)
         self.turns: dict[int, int] = {}
-        self._begun: int | None = None
+        self._step_start: int | None = None
         """The start of the present motion step, ns; None before the first."""
-        self._stillness: Points = np.zeros(state.size + state.evader_count, dtype=complex)
+        self._no_velocities: Points = np.zeros(state.size + state.evader_count, dtype=complex)
 
     def set_actions(self, actions: Actions) -> None:
         """Set the actions of all pursuers from now on."""
-        self._actions, self._paces = actions, self._speeds * (actions > 0)
-        moving = actions.nonzero()[0]
-        self._chases: list[tuple[int, EvaderBody]] | None = None  # (pursuer, evader); None if many chase
-        if len(moving) <= MAX_SCALAR_SIZE or not self._is_plain:
-            self._chases = [(pursuer, self._targets[actions.item(pursuer) - 1]) for pursuer in moving.tolist()]
+        self._actions, self._commanded_speeds = actions, self._speeds * (actions > 0)
+        chasing = actions.nonzero()[0]
+        # (pursuer, evader); None if many chase, because arrays are faster then.
+        self._chases: list[tuple[int, EvaderBody]] | None = None
+        if len(chasing) <= MAX_SCALAR_SIZE or not self._is_plain:
+            self._chases = [(pursuer, self._targets[actions.item(pursuer) - 1]) for pursuer in chasing.tolist()]
 
     def step(self, now: int, until: int, *, handover: bool) -> None:
         """Set the velocity of each player for a motion step.
@@ -72,7 +74,7 @@ class Steering:
             handover: whether an announcement of a change of action is in flight.
         """
         duration, players, law = seconds(until - now), self._players, self._law
-        velocities, self._begun = self._stillness.copy(), now
+        velocities, self._step_start = self._no_velocities.copy(), now
         self.turns.clear()
         for target in self._targets:
             state = target.state(now)
@@ -81,25 +83,25 @@ class Steering:
                 evader_velocity = target.slid(evader_velocity, duration)
             drift = self._drift(target.player, evader_velocity, now, until)
             if self._evader_first:
-                aim, seen = players.advance(target.player, evader_velocity, duration, drift)
-            else:
-                aim, seen = place + drift * duration, players.course(target.player).velocity + drift
-            target.path.see(now, place, aim, seen, until)
+                aim, observed_velocity = players.advance(target.player, evader_velocity, duration, drift)
+            else:  # the evader has not begun the velocity that it has just chosen
+                aim, observed_velocity = place + drift * duration, players.course(target.player).velocity + drift
+            target.path.see(now, place, aim, observed_velocity, until)
             velocities[target.player] = evader_velocity
         if self._chases is None:
             velocities[: len(self._actions)] = self._all_velocities()
         else:
-            where, speed = players.positions().item, self._speed
+            position_of, speed_of = players.positions().item, self._speed_of
             for pursuer, target in self._chases:
-                here, (_, place, aim, evader_velocity, _) = where(pursuer), target.path.last
+                here, (_, place, aim, evader_velocity, _) = position_of(pursuer), target.path.last
                 if self._walled is not None:
                     velocities[pursuer] = self._course(pursuer, aim, now, until)
                 elif self._is_plain:  # the same result as below, faster
                     velocities[pursuer] = guided_velocity(
-                        law, place - here, aim - here, evader_velocity, speed[pursuer]
+                        law, place - here, aim - here, evader_velocity, speed_of[pursuer]
                     )
                 else:
-                    geometry = place - here, aim - here, evader_velocity, speed[pursuer]
+                    geometry = place - here, aim - here, evader_velocity, speed_of[pursuer]
                     velocities[pursuer] = self._command(pursuer, *geometry, now, until)
         for pursuer in self._sensor.blind(self._actions) if self._sensor is not None else ():
             velocities[pursuer] = self._blind_velocity(pursuer, now, until)
@@ -156,13 +158,13 @@ class Steering:
         if self._walled is not None:
             return self._course(pursuer, aim, now, until)
         here = self._players.position(pursuer)
-        geometry = place - here, aim - here, evader_velocity, self._speed[pursuer]
+        geometry = place - here, aim - here, evader_velocity, self._speed_of[pursuer]
         return self._command(pursuer, *geometry, now, until)
 
     def _course(self, pursuer: int, aim: complex, now: int, until: int) -> complex:
         """Return the velocity, m/s, with which a pursuer follows the shortest path to where it aims (m)."""
         assert self._walled is not None
-        velocity, turn = self._walled.course(self._players.position(pursuer), aim, self._speed[pursuer], now, until)
+        velocity, turn = self._walled.course(self._players.position(pursuer), aim, self._speed_of[pursuer], now, until)
         if turn < until:
             self.turns[pursuer] = turn
         return velocity
@@ -188,9 +190,9 @@ class Steering:
             now: the present, ns.
             until: the time up to which it keeps the command, ns.
         """
-        wind = self._drift(pursuer, 0j, now, until)
-        aim = aim - wind * seconds(until - now)
-        command = guided_velocity(self._law, gap, aim, evader_velocity - wind, speed)
+        drift = self._drift(pursuer, 0j, now, until)
+        aim = aim - drift * seconds(until - now)
+        command = guided_velocity(self._law, gap, aim, evader_velocity - drift, speed)
         if not self._has_inertia:
             return command
         return steered_with(self._dynamics, command, self._players.course(pursuer), aim, self._radius)
@@ -199,19 +201,19 @@ class Steering:
         """Return the mean velocity of the flow, m/s, along the path of a player between two times, ns."""
         if not (self._has_flow and self._carried[player]):
             return 0j
-        begun = now if self._begun is None else self._begun
-        return self._environment.drift_within(self._players.position(player), command, begun, now, until)
+        step_start = now if self._step_start is None else self._step_start
+        return self._environment.drift_within(self._players.position(player), command, step_start, now, until)
 
     def _all_velocities(self) -> Points:
         """Return the (N,) velocities, m/s, of the pursuers at the start of a step, as if they sensed all evaders."""
         actions, segments = self._actions, [target.path.last for target in self._targets]
-        pursuers, paces = self._players.positions()[: len(actions)], self._paces
+        pursuers, speeds = self._players.positions()[: len(actions)], self._commanded_speeds
         if len(segments) == 1:
             _, place, aim, evader_velocity, _ = segments[0]
-            return guided_velocities(self._law, place - pursuers, aim - pursuers, evader_velocity, paces)
-        chased = np.maximum(actions, 1) - 1
+            return guided_velocities(self._law, place - pursuers, aim - pursuers, evader_velocity, speeds)
+        chased = np.maximum(actions, 1) - 1  # any index serves for an inactive pursuer, whose commanded speed is 0
         places, aims, evader_velocities = (np.array([segment[k] for segment in segments])[chased] for k in (1, 2, 3))
-        return guided_velocities(self._law, places - pursuers, aims - pursuers, evader_velocities, paces)
+        return guided_velocities(self._law, places - pursuers, aims - pursuers, evader_velocities, speeds)
 
     def _blind_velocity(self, pursuer: int, now: int, until: int) -> complex:
         """Return the velocity, m/s, of a pursuer whose evader is out of sensing range; 0 without an estimate.
@@ -229,5 +231,5 @@ class Steering:
             return self._course(pursuer, self._walled.free_place(estimate.position + ahead), now, until)
         gap = estimate.position - self._players.position(pursuer)
         aim = gap + (estimate.velocity * duration if self._evader_first else 0j)
-        speed = min(self._speed[pursuer], abs(aim - self._drift(pursuer, 0j, now, until) * duration) / duration)
+        speed = min(self._speed_of[pursuer], abs(aim - self._drift(pursuer, 0j, now, until) * duration) / duration)
         return self._command(pursuer, gap, aim, estimate.velocity, speed, now, until)

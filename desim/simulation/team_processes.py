@@ -71,7 +71,7 @@ class TeamProcesses:
         announces = self._scenario.announces
         for pursuer, agent in self._agents.items():
             if announces and announce.start == "announced":
-                # In the relay phase: without latency it arrives, over all hops, before the first decision.
+                # In the relay phase, so that without latency it arrives over all hops before the first decision.
                 agent.after(self._start_delay(agent), agent.broadcast, Phase.RELAY)
             relay = RestartableProcess(env, agent, announce.dissemination, Phase.RELAY)
             self.processes[pursuer] = relay, RestartableProcess(env, agent, protocol, Phase.DECISION)
@@ -105,12 +105,13 @@ class TeamProcesses:
             if len(self._open_crashes[crash.node]) == 1:
                 self._world.crash(crash.node)
                 self._recoveries[crash.node] = self._env.event()
+                # A protocol that is not embodied does not run on the robot, and goes on.
                 for process in self.processes.get(crash.node, ())[: 2 if self._embodied else 1]:
                     if process.is_alive:
                         process.interrupt(self._recoveries[crash.node])
 
     def recovered(self, crash: Crash) -> None:
-        """End a crash: resume the pursuer unless its robot has another crash, and delete the memory that is lost."""
+        """End a crash: resume the pursuer unless another crash of its robot lasts, and clear the memory it has lost."""
         node, remembers = crash.node, True
         if crash.scope == "robot":
             self._open_crashes[node].remove(crash)

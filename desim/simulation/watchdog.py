@@ -34,7 +34,7 @@ OUT_OF_MEMORY = (
 """What a user can do about a `MemoryError`, which has no text of its own."""
 HAS_THREADS = sys.platform not in {"emscripten", "wasi"}
 """Whether this Python can start threads; that of a browser (Pyodide) cannot, and has no timers of signals either."""
-AGAIN = 0.1
+RAISE_INTERVAL = 0.1
 """Interval, s, at which the exception of a limit is raised again if it was lost."""
 
 
@@ -42,7 +42,7 @@ class TimedOut(BaseException):
     """A time limit was exceeded. It is not an `Exception`, so that `except Exception` does not catch it."""
 
     def __reduce__(self) -> tuple[type["TimedOut"], tuple[Any, ...]]:
-        return TimedOut, self.args  # the class that `within` raises in its block is known to no other process
+        return TimedOut, self.args  # no other process knows the class that `within` raises in its block
 
 
 def checked_limit(limit: float) -> float:
@@ -63,7 +63,7 @@ def within(limit: float) -> AbstractContextManager[None]:
     Use it around a run or any other code that may not terminate. The exception is raised between two Python
     instructions, also in an endless loop; a call into C finishes first. Other code may swallow the exception: the
     serialiser of pydantic drops it or raises another exception instead, and Python reports and drops it in `__del__`.
-    It is therefore raised again while the block lasts, but not while an earlier one is handled, so that clean-up is not
+    It is therefore raised again while the block lasts, but not while the block handles it, so that clean-up is not
     interrupted. A block that exceeds its limit always ends with TimedOut, unless it raises KeyboardInterrupt or
     GeneratorExit.
 
@@ -138,18 +138,18 @@ class _Alarm(_Limit):
     def __enter__(self) -> None:
         self._begin = monotonic()
         self._handler = signal.signal(signal.SIGALRM, self._ring)
-        self._left, self._interval = signal.getitimer(signal.ITIMER_REAL)
-        signal.setitimer(signal.ITIMER_REAL, min(self._limit, self._left or inf), AGAIN)
+        self._other_delay, self._other_interval = signal.getitimer(signal.ITIMER_REAL)  # of the earlier timer; 0: none
+        signal.setitimer(signal.ITIMER_REAL, min(self._limit, self._other_delay or inf), RAISE_INTERVAL)
 
     def _ring(self, number: int, frame: FrameType | None) -> None:
-        """Raise the exception if it is time, and call the handler of the timer before, if it is its time.
+        """Call the handler of the earlier timer if that one is due, and raise the exception if the limit has passed.
 
-        In the code of this module nothing is raised: it looks at `is_late` itself. Nor is it in a callback of a weak
-        reference or of the garbage collector, where Python would only print the exception, or where handlers of signals
-        are set or put back; the timer rings again.
+        Nothing is raised in a quiet frame; the timer rings again later. Quiet is the code of this module, which reads
+        `is_late` itself; a callback of a weak reference or of the garbage collector, where Python would only print the
+        exception; and code that sets handlers of signals or puts them back.
         """
         elapsed = monotonic() - self._begin
-        if self._left and elapsed >= self._left and callable(self._handler):
+        if self._other_delay and elapsed >= self._other_delay and callable(self._handler):
             self._handler(number, frame)
         if self.is_over or elapsed < self._limit:
             return
@@ -161,24 +161,25 @@ class _Alarm(_Limit):
         self.is_over = True
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, self._handler)
-        if self._left:
-            left = self._begin + self._left - monotonic()
-            signal.setitimer(signal.ITIMER_REAL, max(left, 1e-6), self._interval)
+        if self._other_delay:
+            delay = self._begin + self._other_delay - monotonic()
+            # At least 1 us, because 0 would stop the timer.
+            signal.setitimer(signal.ITIMER_REAL, max(delay, 1e-6), self._other_interval)
 
 
 class _Watch(_Limit):
     """The time limit of a block of any thread, in which another thread raises the exception."""
 
     def __enter__(self) -> None:
-        self._thread, self._over, self._lock = get_ident(), Event(), Lock()
-        Thread(target=self._watch, daemon=True).start()
+        self._thread, self._wake, self._lock = get_ident(), Event(), Lock()
+        Thread(target=self._raise_when_late, daemon=True).start()
 
-    def _watch(self) -> None:
+    def _raise_when_late(self) -> None:
         sys.settrace(None)  # a traced thread of Python 3.11 stands still while an exception is pending in another
         sys.setprofile(None)
         pause = self._limit
-        while not self._over.wait(pause):
-            pause = AGAIN
+        while not self._wake.wait(pause):
+            pause = RAISE_INTERVAL
             handled: Any = sys._current_exceptions().get(self._thread)
             with self._lock:
                 if not (self.is_over or _is_in(handled[1] if isinstance(handled, tuple) else handled, self._raised)):
@@ -188,13 +189,13 @@ class _Watch(_Limit):
                     )
 
     def _stop(self) -> None:
-        while not self.is_over:
+        while not self.is_over:  # the exception may be raised in this loop, too
             with suppress(self._raised), self._lock:
                 self.is_over = True
-        self._over.set()
+        self._wake.set()
         if self.is_late:
             with suppress(self._raised):
-                for _ in range(100):  # an exception that is still pending is raised at the end of a turn
+                for _ in range(100):  # an exception that is still pending is raised at the end of an iteration
                     pass
 
 
@@ -231,9 +232,9 @@ def short(file: str) -> str:
 
 
 MAX_LISTED = 100
-"""Maximum number of lines that are listed."""
+"""Maximum number of lines about waiting processes."""
 MAX_NAMED = 8
-"""Maximum number of pursuers that are named at a line."""
+"""Maximum number of pursuers that such a line names."""
 
 
 def interrupted_at(env: "Clock", error: BaseException) -> str:
@@ -245,7 +246,7 @@ def interrupted_at(env: "Clock", error: BaseException) -> str:
     return f"at {seconds(env.now):.9g} s of simulated time, in {code_place_of(error)}{f': {source}' if source else ''}"
 
 
-def _folded(line: str, pursuers: Sequence[int]) -> str:
+def _waiting_text(line: str, pursuers: Sequence[int]) -> str:
     """Return the text about the processes that wait at one line, given the pursuer of each."""
     if len(pursuers) == 1:
         return f"pursuer {pursuers[0]}: {line}"
@@ -256,8 +257,8 @@ def _folded(line: str, pursuers: Sequence[int]) -> str:
 def stuck(env: "Clock", error: TimedOut, processes: Mapping[int, Sequence["RestartableProcess"]]) -> TimedOut:
     """Return the error for a simulation that timed out.
 
-    Its text has the simulated time, the line of code that was interrupted, and what each process is waiting for, up to
-    `MAX_LISTED` lines; processes that wait at one line are one line of the text.
+    Its text has the simulated time, the line of code that was interrupted, and up to `MAX_LISTED` lines about waiting
+    processes: one for all processes that wait at the same line of code until the same time.
 
     Args:
         env: the clock of the simulation.
@@ -265,12 +266,12 @@ def stuck(env: "Clock", error: TimedOut, processes: Mapping[int, Sequence["Resta
         processes: the processes of each pursuer.
     """
     due = env.scheduled()
-    alive = [(pursuer, process) for pursuer, several in processes.items() for process in several if process.is_alive]
+    alive = [(pursuer, process) for pursuer, pair in processes.items() for process in pair if process.is_alive]
     head = f"{interrupted_at(env, error)}; {'1 process waits' if len(alive) == 1 else f'{len(alive):,} processes wait'}"
     waiting: dict[str, list[int]] = {}
     for pursuer, process in alive:
         waiting.setdefault(f"{_line(process)}{_until(process, due)}", []).append(pursuer)
-    lines = [_folded(line, pursuers) for line, pursuers in list(waiting.items())[:MAX_LISTED]]
+    lines = [_waiting_text(line, pursuers) for line, pursuers in list(waiting.items())[:MAX_LISTED]]
     more = [f"... and at {counted(len(waiting) - MAX_LISTED, 'more line')}"] if len(waiting) > MAX_LISTED else []
     return TimedOut("\n  ".join([head, *lines, *more]))
 
@@ -279,12 +280,12 @@ def _line(process: "RestartableProcess") -> str:
     """Return the source line at which a process waits, in the innermost of its nested generators."""
     from desim.kernel.core.clock import generator_of
 
-    at = generator_of(process)
-    inner = process.behaviour or at.gi_yieldfrom
+    generator = generator_of(process)
+    inner = process.behaviour or generator.gi_yieldfrom
     while isinstance(inner, GeneratorType) and inner.gi_frame is not None:
-        at, inner = inner, inner.gi_yieldfrom
-    file, line = at.gi_code.co_filename, at.gi_frame.f_lineno
-    return f"{short(file)}:{line} ({at.gi_code.co_qualname}): {getline(file, line).strip()}"
+        generator, inner = inner, inner.gi_yieldfrom
+    file, line = generator.gi_code.co_filename, generator.gi_frame.f_lineno
+    return f"{short(file)}:{line} ({generator.gi_code.co_qualname}): {getline(file, line).strip()}"
 
 
 def _until(process: "RestartableProcess", due: Mapping[int, int]) -> str:

@@ -26,7 +26,7 @@ from desim.scenario.scenario import Scenario
 
 
 class TeamNetwork(NamedTuple):
-    """The network of a team, and what was drawn with it."""
+    """The network of a team, and the clocks and faults that were drawn for it."""
 
     network: Network
     clocks: Sequence[NodeClock]
@@ -54,7 +54,8 @@ def make_network(
         seed: the seed of the run.
         trace: receives the events of messages; None: they are not recorded.
         link_layer: as in `Network`.
-        positions: those of the pursuers; None: those of the state, where no pursuer exceeds its top speed.
+        positions: the positions of the pursuers. None: those of the state, where no pursuer exceeds its top speed over
+            ground.
     """
     faults = draw_faults(scenario.network_faults, state.size, scenario.horizon, seed)
     positions = positions or PursuerPositions(state, scenario.team.top_speed + scenario.environment.top_speed)
@@ -86,7 +87,9 @@ def make_agents(
     trace: Trace,
     voice: Voice | None = None,
 ) -> tuple[list[Agent], list[Judge | None]]:
-    """Create the agents of all pursuers, and their judges; let all know the initial actions if they are known.
+    """Create the agents of all pursuers, and their judges.
+
+    If `announce.start` is "known", all agents know the initial actions.
 
     Args:
         env: the clock of the simulation.
@@ -102,10 +105,9 @@ def make_agents(
     agents, judges = [], []
     for pursuer, (view, clock) in enumerate(zip(views, team.clocks, strict=True)):
         witness = Witness(pursuer, view, clock, network, voice or network, step, trace)
-        judges.append(judge_of(announce.trust, witness))
-        agents.append(
-            Agent(pursuer, env, view, global_state, network, seed, announce, clock, voice or network, judges[-1])
-        )
+        judge = judge_of(announce.trust, witness)
+        judges.append(judge)
+        agents.append(Agent(pursuer, env, view, global_state, network, seed, announce, clock, voice or network, judge))
     if announce.start == "known":
         for agent, clock in zip(agents, team.clocks, strict=True):
             network.set_initial_belief(agent.id, agent.announcement(), clock.stamp)

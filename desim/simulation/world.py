@@ -36,8 +36,8 @@ class World:
 
     All players move on paths of pieces in closed form: straight ones or, with inertia, a curve and a line. The pieces
     have common breakpoints: the start of each motion step, each change of an action and each capture. Motion steps
-    start at multiples of `motion.step` and at the waypoints of records. The next capture is predicted from the present
-    motions. It is predicted again at each breakpoint, and when a pursuer goes down or up.
+    start at multiples of `motion.step` and at the waypoints of recorded motions. The next capture is predicted from the
+    present motions. It is predicted again at each breakpoint, and when a pursuer goes down or up.
 
     The action of a pursuer is the number of the evader that it chases, 1 .. M, or 0 if it is inactive. A pursuer is up
     or down (from `crash` until `recover`). While down it is commanded to stand still; with inertia it brakes, the flow
@@ -70,16 +70,18 @@ class World:
     ):
         self._env, self._trace, self._end = env, trace, end
         self.state, self._views, self._sensor = state, views, sensor
-        self._sampling = scenario.record.trajectory
-        self._tracking = sensor if isinstance(sensor, NoisySensor) and scenario.record.estimates else None
-        self._step = nanoseconds(scenario.motion.step)
-        self._records = [evader.record for evader in scenario.evaders if evader.record] + [*state.relays.values()]
-        self._needed = scenario.capture.captures_to_end or state.evader_count
+        self._sample_period = scenario.record.trajectory
+        self._estimate_source = sensor if isinstance(sensor, NoisySensor) and scenario.record.estimates else None
+        self._step_length = nanoseconds(scenario.motion.step)
+        self._recorded_motions = [evader.record for evader in scenario.evaders if evader.record] + [
+            *state.relays.values()
+        ]
+        self._captures_to_end = scenario.capture.captures_to_end or state.evader_count
         self._steering = make_steering(scenario, state, sensor)
-        self._turn_ahead: simpy.Event | None = None
+        self._next_turn: simpy.Event | None = None
         self._forecast = CaptureForecast(env, state, scenario.capture.test, self._capture)
-        able = [action and views[j].may_chase(j, action) for j, action in enumerate(state.profile)]
-        self._set_actions(state.actions * np.array(able, dtype=bool))
+        may_act = [action and views[j].may_chase(j, action) for j, action in enumerate(state.profile)]
+        self._set_actions(state.actions * np.array(may_act, dtype=bool))
         listens = any(evader.listens for evader in scenario.evaders)
         self.eavesdropper = Eavesdropper(state.profile) if listens else None
 
@@ -92,8 +94,8 @@ class World:
         self._at(0, Phase.CAPTURE, lambda _: self._forecast.update())
         if not state.static:
             self._at(0, Phase.MOTION, self._move)
-        if self._sampling:
-            self._env.process(self._samples(nanoseconds(self._sampling)))
+        if self._sample_period:
+            self._env.process(self._samples(nanoseconds(self._sample_period)))
 
     def set_action(self, pursuer: int, action: int) -> None:
         """Let a pursuer chase an evader, or be inactive (0), from this instant on.
@@ -128,9 +130,9 @@ class World:
 
     def sample(self) -> None:
         """Record all positions, if `record.trajectory` is not 0, and all estimates, if `record.estimates`."""
-        if self._sampling:
+        if self._sample_period:
             self._trace.append(Sampled(self._env.now, *self._places()))
-            for estimated in self._tracking.estimates() if self._tracking is not None else ():
+            for estimated in self._estimate_source.estimates() if self._estimate_source is not None else ():
                 self._trace.append(estimated)
 
     def _change_action(self, pursuer: int, action: int) -> None:
@@ -166,15 +168,15 @@ class World:
         self._at(state.step_end, Phase.MOTION, self._move)
 
     def _plan_turn(self) -> None:
-        """Schedule the next time at which a pursuer comes to a corner of a wall; it replaces the one before."""
-        self._turn_ahead = None
+        """Schedule the next turn of a pursuer at a corner of a wall, in place of the turn scheduled before."""
+        self._next_turn = None
         if self._steering.turns:
-            self._turn_ahead = Instant(self._env, min(self._steering.turns.values()), Phase.MOTION)
-            self._turn_ahead.callbacks.append(self._turn)
+            self._next_turn = Instant(self._env, min(self._steering.turns.values()), Phase.MOTION)
+            self._next_turn.callbacks.append(self._turn)
 
     def _turn(self, event: simpy.Event) -> None:
-        """Redirect the pursuers that are at a corner of a wall, unless a later plan has replaced this one."""
-        if event is not self._turn_ahead:
+        """Redirect the pursuers that are at a corner of a wall, unless another turn has replaced this one."""
+        if event is not self._next_turn:
             return
         now, turns = self._env.now, self._steering.turns
         for pursuer in [pursuer for pursuer, when in turns.items() if when == now]:
@@ -185,10 +187,10 @@ class World:
     def _step_end(self, now: int) -> int:
         """Return the end, ns, of the motion step that begins now.
 
-        It is the next multiple of the motion step or, if earlier, the next waypoint of a record or the horizon.
+        It is the next multiple of the motion step or, if earlier, the horizon or the next recorded waypoint.
         """
-        waypoints = filter(None, [record.next_waypoint(now) for record in self._records])
-        return min((now // self._step + 1) * self._step, self.state.horizon, *waypoints)
+        waypoints = filter(None, [record.next_waypoint(now) for record in self._recorded_motions])
+        return min((now // self._step_length + 1) * self._step_length, self.state.horizon, *waypoints)
 
     def _capture(self, body: EvaderBody, capturer: int) -> None:
         """Capture an evader; end the run if enough evaders are captured (`capture.captures_to_end`)."""
@@ -196,7 +198,7 @@ class World:
         self.state.capture(body)
         self._steering.set_actions(self.state.actions)
         self._forecast.update()
-        if self.state.evader_count - len(self.state.at_large) >= self._needed:
+        if self.state.evader_count - len(self.state.at_large) >= self._captures_to_end:
             self._end.finish("captured", capturer)
 
     def _samples(self, period: int) -> Generator[simpy.Event, None, None]:
@@ -216,10 +218,10 @@ class World:
 
 
 def possible_action(view: View, pursuer: int, action: int) -> int:
-    """Return the action of a pursuer that is to chase an evader: 0 if it is down, or may not chase this evader.
+    """Return the action of a pursuer that is to take `action`: 0 if it is down, or may not chase this evader.
 
     Raises:
-        ValueError: if there is no such evader.
+        ValueError: if there is no such action.
     """
     state = view.state
     number = action if type(action) is int or type(action) is bool else as_python(action)
@@ -231,11 +233,11 @@ def possible_action(view: View, pursuer: int, action: int) -> int:
 
 def make_steering(scenario: Scenario, state: WorldState, sensor: Sensor | None = None) -> Steering:
     """Return the steering of the players of a scenario; see `Steering`."""
-    on_all = scenario.environment.on == "all"
+    carries_evaders = scenario.environment.on == "all"
     carried = [pursuer not in state.relays for pursuer in range(state.size)]
-    carried += [on_all and evader.record is None for evader in scenario.evaders]
-    first = scenario.motion.order == "evader_first"
-    return Steering(state, scenario.team.guidance, sensor, np.array(carried), evader_first=first)
+    carried += [carries_evaders and evader.record is None for evader in scenario.evaders]
+    evader_first = scenario.motion.order == "evader_first"
+    return Steering(state, scenario.team.guidance, sensor, np.array(carried), evader_first=evader_first)
 
 
 def initial_state(env: Clock, scenario: Scenario, seed: int) -> WorldState:
@@ -246,7 +248,7 @@ def initial_state(env: Clock, scenario: Scenario, seed: int) -> WorldState:
     team, radius, space = scenario.team, scenario.capture.radius, scenario.space
     players = _kinematics(env, scenario, seed)
     speeds = np.array(team.all_speeds())
-    speeds.setflags(write=False)  # protocols get it as a part of their estimates
+    speeds.setflags(write=False)  # protocols get this array as a part of their estimates
     bodies = [
         EvaderBody(
             number,
@@ -272,9 +274,9 @@ def initial_state(env: Clock, scenario: Scenario, seed: int) -> WorldState:
         )
         for number, evader in enumerate(scenario.evaders, start=1)
     ]
-    chased: Actions = team.start_profile(seed).astype(np.int64)
+    actions: Actions = team.start_profile(seed).astype(np.int64)
     if len(bodies) > 1:
-        chased = chased * stream(seed, "start targets").integers(1, len(bodies) + 1, size=team.count)
+        actions = actions * stream(seed, "start targets").integers(1, len(bodies) + 1, size=team.count)
     horizon = nanoseconds(scenario.horizon)
     return WorldState(
         env,
@@ -284,7 +286,7 @@ def initial_state(env: Clock, scenario: Scenario, seed: int) -> WorldState:
         scenario.pursuer_dynamics,
         scenario.players_environment,
         space,
-        chased,
+        actions,
         radius=radius,
         horizon=horizon,
         static=scenario.motion.static,

@@ -465,7 +465,7 @@ def test_an_alarm_waits_for_the_end_of_what_it_would_break(codes, monkeypatch):
     """In a callback Python would print the exception and go on; `deferred` would not put the handlers back."""
     monkeypatch.setattr(gc, "callbacks", [*gc.callbacks, print, collected])
     alarm = watchdog._Alarm(0.001)
-    alarm._begin, alarm._left, alarm._handler = time.monotonic() - 1.0, 0.0, None
+    alarm._begin, alarm._other_delay, alarm._handler = time.monotonic() - 1.0, 0.0, None
     alarm._ring(signal.SIGALRM, frames(*codes))
     assert alarm.is_late
     for frame in (None, frames(FREE, FREE), frames(collected.__code__, FREE)):
