@@ -218,7 +218,7 @@ class Server(Value):
             times = {me.id: me.capture_time(evader)}
             for j, (active, capture_time, _) in beliefs.items():
                 if j in orders:
-                    lost_time = idle_time(active, orders[j], evader, now, effect) if loses_time else 0
+                    lost_time = time_not_chasing(active, orders[j], evader, now, effect) if loses_time else 0
                     times[j] = capture_time + seconds(lost_time)
             phi.append(times)
         chasers = best_chasers(phi, reward)
@@ -285,7 +285,7 @@ def orders_since(sent: int, orders: list[tuple[int, int]]) -> list[tuple[int, in
     return orders[max(sum(start <= sent for start, _ in orders) - 1, 0) :]
 
 
-def idle_time(reported: int, ordered: Sequence[tuple[int, int]], evader: int, now: int, effect: int) -> int:
+def time_not_chasing(reported: int, ordered: Sequence[tuple[int, int]], evader: int, now: int, effect: int) -> int:
     """Return the time, ns, for which a pursuer does not chase an evader from now until an order sent now takes effect.
 
     Args:

@@ -30,7 +30,7 @@ from desim.scenario.assumptions import violations
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Motion, Recording
 from protocols.centralised import Centralised
-from protocols.server import Server, TeamOrder, idle_time, most_chasers, new_orders
+from protocols.server import Server, TeamOrder, most_chasers, new_orders, time_not_chasing
 from tests.many import LOSSY, at_rest, by_evader, chased, times
 from tests.omniscient import RoundTrip
 
@@ -525,7 +525,7 @@ def test_the_time_without_a_chase_is_that_of_each_nanosecond():
         begun = [(-1, int(rng.integers(3))), *ordered]
         actions = [[action for start, action in begun if start <= now][-1] for now in range(16)]
         for now in range(17):
-            assert idle_time(begun[0][1], ordered, 1, now, 16) == sum(action != 1 for action in actions[now:])
+            assert time_not_chasing(begun[0][1], ordered, 1, now, 16) == sum(action != 1 for action in actions[now:])
 
 
 def test_as_many_evaders_as_possible_are_chased_though_fewer_would_be_caught_earlier():
