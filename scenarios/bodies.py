@@ -45,10 +45,10 @@ def table(cells: Sequence[Cell], runs: int) -> str:
 
 def _grid(cells: Sequence[Cell], text: Callable[[Cell], str], rules: Sequence[str]) -> str:
     """Return a table with a row per rule and motion and a column per latency; `text` returns the text of an entry."""
-    here = {(cell.rule, cell.motion, cell.latency): text(cell) for cell in cells}
+    texts = {(cell.rule, cell.motion, cell.latency): text(cell) for cell in cells}
     rows: list[tuple[str, ...]] = [("rule", "motion", *(f"L = {latency:g} s" for latency in LATENCIES))]
     for rule in rules:
-        rows += [(rule, motion, *(here[rule, motion, latency] for latency in LATENCIES)) for motion in MOTIONS]
+        rows += [(rule, motion, *(texts[rule, motion, latency] for latency in LATENCIES)) for motion in MOTIONS]
     return aligned(rows)
 
 
@@ -86,10 +86,10 @@ def _draw(
     looks = dict(zip(MOTIONS, zip((palette.GREY, *palette.SERIES), "xooosss", strict=True), strict=False))
     span = LATENCIES[-1] - LATENCIES[0]
     for k, motion in enumerate(motions):
-        here = [cell for cell in cells if cell.rule == rule and cell.motion == motion and not isnan(value(cell).mean)]
-        x = [cell.latency + 0.008 * span * (k - len(motions) / 2) for cell in here]
+        line = [cell for cell in cells if cell.rule == rule and cell.motion == motion and not isnan(value(cell).mean)]
+        x = [cell.latency + 0.008 * span * (k - len(motions) / 2) for cell in line]
         colour, mark = looks[motion]
-        draw_estimates(axes, x, list(map(value, here)), color=colour, marker=mark, elinewidth=0.6, label=motion)
+        draw_estimates(axes, x, list(map(value, line)), color=colour, marker=mark, elinewidth=0.6, label=motion)
 
 
 @study("bodies", __doc__, seconds=3.5, runs=40)

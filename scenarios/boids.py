@@ -50,15 +50,15 @@ def flight(links: Links, seed: int) -> "Iterator[tuple[NDArray[np.float64], NDAr
             for boid in range(COUNT):
                 network.publish(boid, complex(headings[boid]))
             x += DT * SPEED * np.column_stack([headings.real, headings.imag])
-            network.step(DT)  # reads `x` where it is now
-            heard = np.array([_mean_heard(network, boid, headings[boid]) for boid in range(COUNT)])
+            network.step(DT)  # reads the new positions from `x`
+            mean_headings = np.array([_mean_heard(network, boid, headings[boid]) for boid in range(COUNT)])
             noise = rng.standard_normal(COUNT) + 1j * rng.standard_normal(COUNT)
-            headings = _normalised(headings + DT * TURN * (heard - headings) + NOISE * DT**0.5 * noise)
+            headings = _normalised(headings + DT * TURN * (mean_headings - headings) + NOISE * DT**0.5 * noise)
             yield x.copy(), headings
 
 
 def _mean_heard(network: SteppedNetwork, boid: int, heading: complex) -> complex:
-    """Return the mean of the headings that a boid has heard of late; its own heading if there are none."""
+    """Return the mean of the headings that a boid has heard within `MEMORY`; its own heading if there are none."""
     recent = [message.body for message in network.latest(boid).values() if network.now - message.sent <= MEMORY]
     return portable_sum(recent) / len(recent) if recent else heading
 

@@ -2,13 +2,13 @@
 
 The search begins with six pursuers that are equally fast, so that any can stand in for another, a latency of 0.1 s,
 and announcements over the network. It adds imperfections at random (`desim break`) until a protocol leaves the evader
-without a pursuer for 5 s more than the centralised planner does in the same scenario with the same seed. What it finds
-is made as small as it can be, and all other protocols are run in it. Then the search goes on without what that scenario
-needs, and may find another weakness. The same is done with `local_min` under each kind of trust, and with the mends of
-what was found.
+without a pursuer for 5 s more than the centralised planner does in the same scenario with the same seed. The scenario
+that it finds is made as small as possible, and all other protocols are run in it. Then the search goes on without the
+imperfections that this scenario needs, and may find another weakness. `local_min` under each kind of trust is searched
+in the same way, and so are protocols with mended parameters.
 
-All runs are kept in the folder `breaking` of the output: the same command goes on after an interruption, and one with
-more --runs or --minutes goes on where the last one ended.
+All runs are kept in the folder `breaking` of the output. The same command goes on after an interruption, and a command
+with more --runs or --minutes goes on where the last one ended.
 """
 
 from collections.abc import Mapping, Sequence, Set
@@ -58,7 +58,7 @@ MENDED: Mapping[str, Mapping[str, Any]] = MappingProxyType(
         "local_min-affordable": {"protocol": "local_min", "announce.belief_timeout": "affordable"},
     }
 )
-"""The mends of what was found, by name."""
+"""By name, protocols with parameters that mend a weakness which a search has found."""
 
 
 @dataclass(frozen=True)
@@ -67,11 +67,11 @@ class Weakness:
 
     violation: Violation
     protocols: Mapping[str, Judgement | str]
-    """What each protocol does in it."""
+    """The judgement of each protocol in the scenario, or why it cannot be run there."""
 
     @property
     def features(self) -> Set[str]:
-        """What the next search leaves out: all that the scenario needs, but for the number of pursuers."""
+        """The features that the next search leaves out: all that the scenario needs, except the number of pursuers."""
         return self.violation.case.keys() & FEATURES.keys() - {"team"}
 
 
@@ -82,35 +82,35 @@ class Broken:
     name: str
     """The protocol, with the kind of trust or the mend."""
     weaknesses: Sequence[Weakness]
-    """In the order of the searches, each without the features that were found before."""
+    """In the order of the searches; each search leaves out the features of the weaknesses before."""
     cases: int
-    """The number of cases that were run, without those that made a found one smaller."""
+    """The number of cases that were run, without those that made a case smaller."""
     seconds: float
     """The wall time of all runs, s."""
     closest: float
-    """The least margin of the last search, s; inf: its time was up when it had found something."""
+    """The least margin of the last search, s; inf if the search found a weakness."""
 
 
 def bases() -> dict[str, Scenario]:
-    """Return the scenario in which each search begins, by its name: the protocol, and the kind of trust or the mend."""
+    """Return the scenario in which each search begins, by the protocol with its kind of trust or mend."""
     kinds = [kind for kind in PROTOCOLS.choices() if kind not in (AGAINST, WITHOUT_WEIGHTS)]
     trusts = [kind for kind in TRUSTS.choices() if kind != kind_of(BASE.announce.trust)]
     changes: dict[str, Mapping[str, Any]] = {kind: {"protocol": kind} for kind in kinds}
     changes |= {f"{TRUSTED}-{kind}": {"protocol": TRUSTED, "announce.trust": {"kind": kind}} for kind in trusts}
-    return {name: BASE.with_({"name": name, **changed}) for name, changed in (changes | {**MENDED}).items()}
+    return {name: BASE.with_({"name": name, **keys}) for name, keys in (changes | {**MENDED}).items()}
 
 
 def break_protocol(folder: Path, runs: int, seconds: float, scenario: Scenario, seed: int) -> Broken:
-    """Search for what breaks the protocol of a scenario, and again without what was found, until cases or time are up.
+    """Search for weaknesses of the protocol of a scenario, one after the other, until cases or time are up.
 
-    Its runs are kept in the folder, and found by the next call. `seconds` is the time after which no further cases
-    begin, that of earlier calls included.
+    The runs are kept in the folder, and the next call does not perform them again. After `seconds` no further cases
+    begin; the time of earlier calls counts, too.
     """
     log = CaseLog(folder / f"{scenario.name}.jsonl", property_of(PROPERTY))
     weaknesses: list[Weakness] = []
     cases, spent, closest = 0, 0.0, inf
     features = [*FEATURES]
-    with redirect_stderr(StringIO()):  # no progress bar of its own: searches run at the same time
+    with redirect_stderr(StringIO()):  # no progress bars, because several searches run at the same time
         while features and cases < runs and spent < seconds:
             search = find_violation(
                 scenario,
@@ -127,16 +127,18 @@ def break_protocol(folder: Path, runs: int, seconds: float, scenario: Scenario, 
                 closest = search.closest
                 break
             weaknesses.append(Weakness(search.violation, search.violation.protocols(1, log)))
-            if not weaknesses[-1].features:  # it needs nothing that could be left out
+            if not weaknesses[-1].features:  # the next search could leave out nothing, and would find the same
                 break
             features = [feature for feature in features if feature not in weaknesses[-1].features]
     return Broken(scenario.name, weaknesses, cases, spent, closest)
 
 
 def broken_elsewhere(name: str, broken: Sequence[Broken]) -> list[str]:
-    """Return the others whose smallest scenarios break a protocol, too."""
+    """Return the names of the other searches whose smallest scenario breaks the protocol `name`, too."""
     verdicts = {
-        one.name: one.weaknesses[0].protocols.get(name) for one in broken if one.weaknesses and one.name != name
+        other.name: other.weaknesses[0].protocols.get(name)
+        for other in broken
+        if other.weaknesses and other.name != name
     }
     return [other for other, verdict in verdicts.items() if isinstance(verdict, Judgement) and not verdict.holds]
 
@@ -162,11 +164,11 @@ def _others(weakness: Weakness) -> int:
 def table(broken: Sequence[Broken]) -> str:
     """Return the results as text."""
     rows: list[tuple[str, ...]] = [("protocol", "smallest scenario", "case", "seed", "idle (s)", "others")]
-    rows += [row for one in broken for row in rows_of(one)]
+    rows += [row for search in broken for row in rows_of(search)]
     about = f'"{PROPERTY}"; others: protocols that violate it in the same scenario, too'
-    elsewhere = {one.name: broken_elsewhere(one.name, broken) for one in broken if not one.weaknesses}
-    ends = [f"{name} is broken by the smallest scenario of {', '.join(by)}" for name, by in elsewhere.items() if by]
-    return "\n".join([about, aligned(rows, right_from=2), *ends])
+    breakers = {search.name: broken_elsewhere(search.name, broken) for search in broken if not search.weaknesses}
+    notes = [f"{name} is broken by the smallest scenario of {', '.join(by)}" for name, by in breakers.items() if by]
+    return "\n".join([about, aligned(rows, right_from=2), *notes])
 
 
 def picture(broken: Sequence[Broken]) -> "Figure":
@@ -175,14 +177,14 @@ def picture(broken: Sequence[Broken]) -> "Figure":
 
     from desim.analysis.drawing import plots
 
-    first = {one.name: one.weaknesses[0].protocols for one in broken if one.weaknesses}
-    rows = sorted({kind for protocols in first.values() for kind in protocols})
-    values = np.array([[_excess(protocols.get(kind)) for protocols in first.values()] for kind in rows])
+    columns = {search.name: search.weaknesses[0].protocols for search in broken if search.weaknesses}
+    rows = sorted({kind for protocols in columns.values() for kind in protocols})
+    values = np.array([[_excess(protocols.get(kind)) for protocols in columns.values()] for kind in rows])
     with plots.styled(figsize=(plots.COLUMN * 1.6, 0.6 + 0.2 * len(rows)), font=7.0) as figure:
         axes = figure.add_subplot()
         shown = axes.imshow(values, cmap="Greys", vmin=0.0, vmax=8.0, aspect="auto")
         axes.set_yticks(range(len(rows)), rows)
-        axes.set_xticks(range(len(first)), [*first], rotation=60, ha="right", rotation_mode="anchor")
+        axes.set_xticks(range(len(columns)), [*columns], rotation=60, ha="right", rotation_mode="anchor")
         axes.set(xlabel="smallest scenario that breaks ...", ylabel="protocol in it")
         axes.tick_params(length=0)
         figure.colorbar(shown, ax=axes, label="idle beyond centralised (s)")
@@ -211,31 +213,33 @@ def _excess(verdict: Judgement | str | None) -> float:
 )
 def main(options: Options) -> None:
     """Search, compare and show."""
-    only: Any = options.own["protocol"]
-    chosen = {name: base for name, base in bases().items() if only in (None, name)}
-    if not chosen:
+    only: Any = options.extra["protocol"]
+    searched = {name: base for name, base in bases().items() if only in (None, name)}
+    if not searched:
         raise click.BadParameter(f"there is no {only!r}; there are {', '.join(bases())}", param_hint="--protocol")
     folder = options.out / "breaking"
     folder.mkdir(parents=True, exist_ok=True)
 
-    def show(_: int, one: Broken) -> None:
-        click.echo(aligned(rows_of(one), right_from=2), err=True)
-        for number, weakness in enumerate(one.weaknesses, start=1):
-            file = options.out / f"breaking-{one.name}{'' if number == 1 else f'-{number}'}.toml"
-            command = f"python -m scenarios.breaking --protocol {one.name} --runs {options.runs} --seed {options.seed}"
+    def show(_: int, search: Broken) -> None:
+        click.echo(aligned(rows_of(search), right_from=2), err=True)
+        for number, weakness in enumerate(search.weaknesses, start=1):
+            file = options.out / f"breaking-{search.name}{'' if number == 1 else f'-{number}'}.toml"
+            command = (
+                f"python -m scenarios.breaking --protocol {search.name} --runs {options.runs} --seed {options.seed}"
+            )
             write_whole(file, scenario_text(weakness.violation, file.name, command).encode())
 
     broken = run_many(
-        [(base, options.seed) for base in chosen.values()],
+        [(base, options.seed) for base in searched.values()],
         options.jobs,
         "searches",
         _itself,
-        partial(break_protocol, folder, options.runs, 60.0 * options.own["minutes"]),  # type: ignore[arg-type]
+        partial(break_protocol, folder, options.runs, 60.0 * options.extra["minutes"]),  # type: ignore[arg-type]
         show,
     )
-    searches = [_document(one) | {"broken_elsewhere": broken_elsewhere(one.name, broken)} for one in broken]
+    searches = [_document(search) | {"broken_elsewhere": broken_elsewhere(search.name, broken)} for search in broken]
     document = {"property": PROPERTY, "searches": searches}
-    has_weaknesses = any(one.weaknesses for one in broken)
+    has_weaknesses = any(search.weaknesses for search in broken)
     options.show(document, table(broken), (lambda: picture(broken)) if has_weaknesses else None)
 
 
@@ -244,7 +248,7 @@ def _itself(broken: Any) -> Broken:
 
 
 def _document(broken: Broken) -> dict[str, Any]:
-    """Return what was found about a protocol as JSON values."""
+    """Return the result of a search as JSON values."""
     return {
         "name": broken.name,
         "cases": broken.cases,

@@ -1,11 +1,11 @@
 """Measure again, with few runs and other seeds, the numbers in README and docs.
 
-Each claim is a sentence of a page, and what measures its numbers (`scenarios.studies.claims`). A published and a
-measured mean should differ by at most twice the root of the sum of the squares of their half widths. So a true number
-passes with a probability of 99.99 % if the means are normal, and all 300 together with 97 %. Run it after any change
-that may move results; it takes minutes. `--only NAME` checks the claims of one study. With the seed and the runs of a
-page, the numbers measured are those that it should have. The pages are those of the repository, so this is not in the
-wheel.
+Each claim is a sentence of a page with the measurements of its numbers (`scenarios.studies.claims`). A published and a
+measured mean should differ by at most twice the root of the sum of the squares of their half widths. If the means are
+normal, a true number passes with a probability of 99.99 %, and all 300 together with 97 %. Run this check after any
+change that may move results; it takes minutes. `--only NAME` checks the claims of one study. With the seed and the runs
+of a page, the measured numbers are those that the page should have. The pages are those of the repository, so this
+module is not in the wheel.
 """
 
 import sys

@@ -54,12 +54,13 @@ def picture(cells: Sequence[Cell]) -> "Figure":
     with plots.styled(figsize=(9.0, 3.2)) as figure:
         left, right = figure.subplots(1, 2)
         for k, (colour, way) in enumerate(zip(palette.SERIES, WAYS, strict=False)):
-            here = [cell for cell in cells if cell.way == way]
-            places = [place + 0.05 * (k - 1.5) for place in range(len(here))]  # shifted, so that error bars are seen
+            line = [cell for cell in cells if cell.way == way]
+            places = [place + 0.05 * (k - 1.5) for place in range(len(line))]  # shifted, so that error bars are seen
             style = {"color": colour, "label": way}
-            for axes, values in ((left, [cell.saving for cell in here]), (right, [cell.age for cell in here])):
-                if axes is left and way == ONCE:
+            for axes, values in ((left, [cell.saving for cell in line]), (right, [cell.age for cell in line])):
+                if axes is left and way == ONCE:  # savings are against announcing once
                     continue
+                # The channel without memory, the last one, is apart from the line over the Doppler frequency.
                 draw_estimates(axes, places[:-1], values[:-1], marker="o", **style)
                 draw_estimates(axes, places[-1:], values[-1:], marker="s", **style | {"label": None})
         for axes in (left, right):

@@ -59,18 +59,18 @@ def _pursuits(name: str, cells: Mapping[tuple[str, str, float], Pursuits]) -> st
     compared = [access for access in ACCESSES if access != REFERENCE]
     lines = [("load", "heartbeat", REFERENCE, *compared, *(f"lost, {access}" for access in ACCESSES))]
     for load in LOADS:
-        here = cells[name, REFERENCE, load]
-        active = f"{here.active_time:.1f}"
+        reference = cells[name, REFERENCE, load]
+        active = f"{reference.active_time:.1f}"
         differences = [f"{cells[name, access, load].difference:+.2f}" for access in compared]
         lost = [f"{cells[name, access, load].lost:.0%}" for access in ACCESSES]
-        lines.append((f"{load:g}", f"{here.heartbeat:.3g} s", active, *differences, *lost))
+        lines.append((f"{load:g}", f"{reference.heartbeat:.3g} s", active, *differences, *lost))
     return aligned(lines)
 
 
 def _best(ages: Sequence[Age]) -> str:
     lines = [("N", "theory, ALOHA", *ACCESSES)]
     for size in TEAM_SIZES:
-        measured = [[age for age in _of(ages, access, size) if isfinite(age.age.mean)] for access in ACCESSES]
+        measured = [[age for age in _ages_of(ages, access, size) if isfinite(age.age.mean)] for access in ACCESSES]
         best = [min(line, key=lambda age: age.age.mean, default=None) for line in measured]
         texts = ["-" if age is None else f"{age.heartbeat:.2f} s (age {age.age.mean:.2f} s)" for age in best]
         lines.append((str(size), f"{best_heartbeat(size):.2f} s", *texts))
@@ -92,7 +92,7 @@ def _lora(pursuits: Sequence[LoRaPursuits]) -> str:
     return aligned(lines)
 
 
-def _of(ages: Sequence[Age], access: str, size: int) -> list[Age]:
+def _ages_of(ages: Sequence[Age], access: str, size: int) -> list[Age]:
     return [age for age in ages if (age.access, age.size) == (access, size)]
 
 
@@ -131,7 +131,7 @@ def draw_pursuits(axes: "Axes", pursuits: Sequence[Pursuits]) -> None:
 def draw_ages(axes: "Axes", ages: Sequence[Age], size: int) -> None:
     """Draw the mean age of information of a team over the heartbeat, a line per access model."""
     for colour, mark, access in zip(palette.SERIES, palette.MARKERS, ACCESSES, strict=False):
-        line = _of(ages, access, size)
+        line = _ages_of(ages, access, size)
         x = [age.heartbeat for age in line]
         draw_estimates(axes, x, [age.age for age in line], color=colour, marker=mark, elinewidth=None)
     axes.axvline(best_heartbeat(size), color=palette.GREY, ls=":")

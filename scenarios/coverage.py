@@ -1,9 +1,9 @@
 """How often do the intervals of `--until` cover the mean? Coverage, bias and number of values of sequential studies.
 
 Each study draws independent values of a known distribution until the half width of their 95 % interval is at most a
-target, as a sweep with `--until` does. The target is the half width of 30 or of 300 values with a known deviation. A
-rule of `desim.analysis.statistics` for which runs end too early covers too rarely, and a mean of skewed values is low
-where they happen to vary little.
+target, as a sweep with `--until` does. The target is the half width of 30 or of 300 values with a known deviation.
+Intervals of studies that end too early cover too rarely. The mean of skewed values is then too low, because a study
+ends early if its values happen to vary little.
 
 With `--control` the studies have a fixed number of values, and a control variate (`desim.analysis.control_variates`).
 Values are of known distributions, and of runs of desim that are resampled from a pool. An interval that takes the mean
@@ -68,7 +68,7 @@ def normal_pairs(rng: np.random.Generator, size: int) -> Pair:
 
 
 def lognormal_pairs(rng: np.random.Generator, size: int) -> Pair:
-    """Return the exponentials of such values."""
+    """Return the exponentials of normal pairs."""
     values, control = normal_pairs(rng, size)
     return portable_math.exp(values), portable_math.exp(control)
 
@@ -80,14 +80,17 @@ def curved_pairs(rng: np.random.Generator, size: int) -> Pair:
 
 
 def pools(seeds: int = POOL) -> dict[str, tuple[Draw, float]]:
-    """Return what draws pairs of active times, of each protocol and of `centralised`, from a pool, and their mean."""
+    """Return, by name, a function that draws active times of a protocol and of `centralised` from a pool of runs.
+
+    The second entry is the mean of the active times of the protocol in the pool.
+    """
     schedule = {"kind": "poisson", "rate": 5.0}
     kinds = [{"kind": "centralised", "slot": 0.2}, *({"kind": kind, "schedule": schedule} for kind in POOLED)]
     control, *pooled = (group.numbers("active_time") for group in sweep(RUNS, {"protocol": kinds}, seeds).groups)
 
     def draw(values: NDArray[np.float64], rng: np.random.Generator, size: int) -> Pair:
-        at = rng.integers(seeds, size=size)
-        return values[at], control[at]
+        drawn = rng.integers(seeds, size=size)
+        return values[drawn], control[drawn]
 
     return {
         f"runs of {kind}": (partial(draw, values), float(np.mean(values)))
@@ -97,14 +100,14 @@ def pools(seeds: int = POOL) -> dict[str, tuple[Draw, float]]:
 
 @dataclass(frozen=True)
 class ControlledCoverage:
-    """How the intervals of several studies with a control do."""
+    """How often the intervals of several studies with a control cover the mean, and the errors of their estimates."""
 
     plain: float
     """Share of the intervals without the control that cover the mean."""
     controlled: float
-    """Share of those with the control."""
+    """Share of the intervals with the control that cover it."""
     ignoring: float
-    """Share of those that take the mean of the control for known."""
+    """Share of the intervals that cover it if they take the mean of the control for known."""
     bias: float
     """Mean error of the corrected means, in their standard deviations."""
     bias_of_one_slope: float
@@ -122,11 +125,13 @@ def controlled_coverage(draw: Draw, mean: float, size: int, studies: int) -> Con
     means = np.zeros((studies, 3))
     for k in range(studies):
         (values, paired), (_, others) = draw(rng, size), draw(rng, (TIMES - 1) * size)
-        made = control_variate(values, paired, others)
+        corrected = control_variate(values, paired, others)
         offset = float(np.mean(paired) - np.mean(others))
-        means[k] = made.plain.mean, made.mean, made.plain.mean - made.slope * offset
-        squared = made.standard_error**2 - (made.slope * estimate(others).standard_error) ** 2
-        widths = made.plain.half_width, made.half_width, float(stdtrit(size - 2, 0.975)) * sqrt(max(squared, 0.0))
+        of_one_slope = corrected.plain.mean - corrected.slope * offset
+        means[k] = corrected.plain.mean, corrected.mean, of_one_slope
+        variance = corrected.standard_error**2 - (corrected.slope * estimate(others).standard_error) ** 2
+        half_width_if_known = float(stdtrit(size - 2, 0.975)) * sqrt(max(variance, 0.0))
+        widths = corrected.plain.half_width, corrected.half_width, half_width_if_known
         covered[k] = np.abs(means[k][[0, 1, 1]] - mean) <= widths
     bias = (means.mean(axis=0) - mean) / means.std(axis=0)
     plain, controlled, ignoring = covered.mean(axis=0).tolist()

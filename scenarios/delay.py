@@ -38,17 +38,17 @@ from scenarios.studies.delay_runs import (
 
 def table(points: Sequence[Point], cells: Sequence[Cell], runs: int) -> str:
     """Return two tables as text: the measured law, and the active times over latency and slot."""
-    at = {(point.schedule, point.delay): point for point in points}
+    by_delay = {(point.schedule, point.delay): point for point in points}
     rows = [("L lambda", *SCHEDULES)]
     for delay in DELAYS:
-        points_at_delay = [at.get((name, delay)) for name in SCHEDULES]
+        points_at_delay = [by_delay.get((name, delay)) for name in SCHEDULES]
         rows.append(
             (f"{delay:g}", *(f"{p.excess:.3f} +- {p.standard_error:.3f}" if p else "" for p in points_at_delay))
         )
-    here = {(cell.latency, cell.slot): cell for cell in cells}
+    by_setting = {(cell.latency, cell.slot): cell for cell in cells}
     grid = [("L | delta", *(f"{slot:g} s" for slot in SLOTS))]
     for latency in LATENCIES:
-        line = [here[latency, slot] for slot in SLOTS]
+        line = [by_setting[latency, slot] for slot in SLOTS]
         grid.append(
             (f"{latency:g} s", *(f"{c.active_time:.1f} +- {c.standard_error:.1f} ({c.predicted:.1f})" for c in line))
         )

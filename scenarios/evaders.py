@@ -91,26 +91,26 @@ def claims(cells: Sequence[Cell]) -> list[str]:
 
 def _grid(cells: Sequence[Cell], text: Callable[[Cell], str]) -> str:
     """Return a table with a row per strategy and a column per protocol; `text` returns the text of an entry."""
-    here = {(cell.strategy, cell.protocol): text(cell) for cell in cells}
+    texts = {(cell.strategy, cell.protocol): text(cell) for cell in cells}
     names = dict.fromkeys(cell.strategy for cell in cells)
-    return aligned([("", *PROTOCOLS), *((name, *(here[name, protocol] for protocol in PROTOCOLS)) for name in names)])
+    return aligned([("", *PROTOCOLS), *((name, *(texts[name, protocol] for protocol in PROTOCOLS)) for name in names)])
 
 
 def _sight_table(sight: Sequence[Sighted], latency: float, runs: int) -> str:
     heads = ("captured", "95 % interval", "time", "vs hold", "active", "vs hold")
     rows = [("R_s", "estimate", *heads, "never seen", "lost", "reports/s", "transmissions/s")]
     for sighted in sight:
-        limited, compared = sighted.radius < inf, sighted.estimate != HELD
+        is_limited, has_difference = sighted.radius < inf, sighted.estimate != HELD
         rows.append(
             (
-                f"{sighted.radius:g} m" if limited else "inf",
-                ESTIMATES[sighted.estimate] if limited else "",
+                f"{sighted.radius:g} m" if is_limited else "inf",
+                ESTIMATES[sighted.estimate] if is_limited else "",
                 f"{sighted.captured.mean:.0%}",
                 "{:.0%} .. {:.0%}".format(*sighted.captured.interval),
                 f"{sighted.survival:.1f} s",
-                f"{sighted.difference:+.1f} s" if compared else "",
+                f"{sighted.difference:+.1f} s" if has_difference else "",
                 f"{sighted.active_time:.1f} s",
-                f"{sighted.active_difference:+.1f} s" if compared else "",
+                f"{sighted.active_difference:+.1f} s" if has_difference else "",
                 f"{sighted.never_seen:.0%}",
                 f"{sighted.lost:.0%}",
                 f"{sighted.reports:.0f}",
@@ -142,22 +142,24 @@ def draw_strategies(axes: "Axes", cells: Sequence[Cell]) -> None:
 
     Only the points of SAP have intervals.
     """
-    here = {(cell.strategy, cell.protocol): cell for cell in cells if cell.strategy != REFERENCE}
-    names = sorted({name for name, _ in here}, key=lambda name: (here[name, IDEAL].difference.mean, name))
+    by_setting = {(cell.strategy, cell.protocol): cell for cell in cells if cell.strategy != REFERENCE}
+    names = sorted({name for name, _ in by_setting}, key=lambda name: (by_setting[name, IDEAL].difference.mean, name))
     latency = max(cell.latency for cell in cells)
     rows = np.arange(len(names))
     axes.axvline(0.0, color=palette.GREY, lw=0.6)
     remaining = [protocol for protocol in PROTOCOLS if protocol not in (IDEAL, "sap", NEAREST)]
     for kinds, marker, label in (([NEAREST], "x", f"{NEAREST} (nearest)"), (remaining, "|", "other protocols")):
-        points = [(here[name, protocol].difference.mean, row) for protocol in kinds for row, name in enumerate(names)]
+        points = [
+            (by_setting[name, protocol].difference.mean, row) for protocol in kinds for row, name in enumerate(names)
+        ]
         axes.plot(*zip(*points, strict=True), marker, color=palette.GREY, ms=4, mew=0.8, label=label)
-    for protocol, off, colour, marker, label in (
+    for protocol, shift, colour, marker, label in (
         (IDEAL, 0.17, palette.BLUE, "o", "SAP, ideal network"),
         ("sap", -0.17, palette.VERMILION, "s", f"SAP, L = {latency:g} s"),
     ):
-        line = [here[name, protocol] for name in names]
+        line = [by_setting[name, protocol] for name in names]
         x, error = [cell.difference.mean for cell in line], [cell.difference.half_width for cell in line]
-        axes.errorbar(x, rows + off, xerr=error, color=colour, marker=marker, ms=3, lw=0, elinewidth=0.8, label=label)
+        axes.errorbar(x, rows + shift, xerr=error, color=colour, marker=marker, ms=3, lw=0, elinewidth=0.8, label=label)
     axes.set_yticks(rows, names)
     axes.tick_params(axis="y", length=0)
     axes.set_xlabel("lives longer than pure evasion by (s)")
@@ -170,11 +172,11 @@ def draw_sight(shares: "Axes", times: "Axes", sight: Sequence[Sighted]) -> None:
 
     radii = [radius for radius in RADII if radius < inf]
     styles = zip((palette.BLUE, palette.VERMILION, palette.GREEN), "osv", ESTIMATES, strict=True)
-    for k, (colour, marker, made) in enumerate(styles):
-        line = [sighted for sighted in sight if sighted.estimate == made and sighted.radius < inf]
+    for k, (colour, marker, kind) in enumerate(styles):
+        line = [sighted for sighted in sight if sighted.estimate == kind and sighted.radius < inf]
         x = [sighted.radius * 1.08 ** (k - 1) for sighted in line]  # side by side
         style: dict[str, Any] = {"color": colour, "marker": marker, "lw": 0.8, "elinewidth": 0.6}
-        draw_estimates(shares, x, [sighted.captured for sighted in line], label=ESTIMATES[made], **style)
+        draw_estimates(shares, x, [sighted.captured for sighted in line], label=ESTIMATES[kind], **style)
         draw_estimates(times, x, [sighted.active_time for sighted in line], **style)
     for axes in (shares, times):
         axes.set(xscale="log", xlabel="sight R$_s$ (m)")
@@ -202,7 +204,7 @@ def draw_sight(shares: "Axes", times: "Axes", sight: Sequence[Sighted]) -> None:
 )
 def main(options: Options) -> None:
     """Measure, compare and show."""
-    latency: float = options.own["latency"]
+    latency: float = options.extra["latency"]
     cells, sight = measure_chases(options, latency), measure_sight(options, latency)
     document = {"latency": latency, "cells": cells, "sight": sight}
     options.show(document, table(cells, sight, options.runs), lambda: picture(cells, sight))

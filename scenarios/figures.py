@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 COUNTS = (20, 40)
 SAMPLING = 0.02
 """Time between two samples of positions, s."""
-PRINT = 300
+PRINT_DPI = 300
 """Resolution of the PNG, dots per inch."""
 SHORT_SHARE = 0.1
 """If a pursuer first chases alone before this share of a run has passed, an inset shows the beginning enlarged."""
@@ -215,7 +215,7 @@ def pictures(count: int, seed: int) -> "Iterator[tuple[str, Figure]]":
     results = {name: trace_index(run(scenario, seed)) for name, scenario in panels(count).items()}
     yield f"configuration_{count}", draw_initial(results["centralised"])
     yield f"trajectories_{count}", draw_trajectories(results)
-    del results["centralised"]
+    del results["centralised"]  # utilities are drawn for Algorithm 2 only
     yield f"utilities_{count}", draw_utilities(results)
 
 
@@ -246,7 +246,7 @@ def main(options: Options) -> None:
     cells = [{"N": n, "panel": name, "runs": runs} for (n, name), runs in runs_of.items()]
     options.show({"cells": cells}, table(runs_of))
     drawn = (picture for count in COUNTS for picture in pictures(count, options.seed))
-    options.save_figures(lambda: ((f"{options.name}_{name}", figure) for name, figure in drawn), dpi=PRINT)
+    options.save_figures(lambda: ((f"{options.name}_{name}", figure) for name, figure in drawn), dpi=PRINT_DPI)
 
 
 if __name__ == "__main__":

@@ -53,14 +53,14 @@ def centralised_times(pursuers: Points, evaders: Points, team: Scenario, delta: 
     """
     v, v_e, eps = np.array(team.team.all_speeds()), team.evaders[0].speed, team.capture.radius
     times = np.full(len(evaders), inf)
-    left = np.arange(len(evaders))  # indices of the configurations without capture so far
+    left = np.arange(len(evaders))  # indices of the configurations without capture so far; each array has these only
     for k in range(round(team.horizon / delta) + 1):
         gaps = evaders[:, np.newaxis] - pursuers
         distances = np.abs(gaps)
-        free = distances.min(axis=1) > eps
-        times[left[~free]] = k * delta
+        is_free = distances.min(axis=1) > eps
+        times[left[~is_free]] = k * delta
         left, pursuers, evaders, gaps, distances = (
-            values[free] for values in (left, pursuers, evaders, gaps, distances)
+            values[is_free] for values in (left, pursuers, evaders, gaps, distances)
         )
         if not len(left):
             break
@@ -78,16 +78,16 @@ def fitting(base: Scenario, published: dict[float, float], draws: int, seed: int
     `published` contains the published centralised active time, s, for each delta (s).
     """
     rng = np.random.default_rng(seed)
-    count, kept = base.team.count, []
+    count, candidates = base.team.count, []
     for _ in tqdm(range(0, draws, BATCH), desc=f"drawing, N = {count}", unit_scale=BATCH, unit="draw", disable=None):
         team = rng.uniform(*base.team.box, (BATCH, count, 2)).round(3)
         evader = rng.uniform(*base.evaders[0].box, (BATCH, 2)).round(3)
-        for delta, time in sorted(published.items(), reverse=True):
+        for delta, time in sorted(published.items(), reverse=True):  # the fastest test first: it has the fewest steps
             z, e = team[..., 0] + 1j * team[..., 1], evader[:, 0] + 1j * evader[:, 1]
             fits = np.abs(centralised_times(z, e, base, delta) / time - 1.0) < TOLERANCE
             team, evader = team[fits], evader[fits]
-        kept += [_placed(base, *places) for places in zip(team.tolist(), evader.tolist(), strict=True)]
-    return kept
+        candidates += [_placed(base, *places) for places in zip(team.tolist(), evader.tolist(), strict=True)]
+    return candidates
 
 
 def _placed(base: Scenario, team: list[list[float]], evader: list[float]) -> Scenario:

@@ -1,9 +1,9 @@
 """Compute the frozen costs of the benchmark (`desim bench`), or check that they are the same.
 
-A version of the benchmark is frozen: its costs are computed once, and every desim that calls itself of this version
-repeats them. If a run differs, the scenarios, the protocols or the simulator have changed, and a change makes a new
-version. The runs are kept in a store, from which an interrupted computation resumes. With few runs, only the first ones
-are compared.
+A version of the benchmark is frozen: its costs are computed once, and every desim with this version must reproduce
+them. If a run differs, the scenarios, the protocols or the simulator have changed, and such a change needs a new
+version. The runs are kept in a store, from which an interrupted computation resumes. With fewer runs than those of the
+version, only the first ones are compared.
 """
 
 import sys
@@ -20,7 +20,7 @@ from desim.study.comparing.suite import COSTS, NEWEST, Suite, frozen_text
 
 
 def differences(measured: Benchmark, suite: Suite) -> Iterator[str]:
-    """Yield where the costs of runs differ from the frozen ones."""
+    """Yield a line for each scenario, protocol and network whose costs differ from the frozen ones."""
     for scenario, by_protocol in suite.costs.items():
         for protocol, by_network in by_protocol.items():
             for network, costs in by_network.items():

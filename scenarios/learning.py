@@ -1,12 +1,13 @@
 """Train a rule and compare it with the rules of the literature: the cross-entropy method, with numpy only.
 
 A linear rule of six features, "chase if their weighted sum is positive", is trained at a latency of 0.1 s to minimise
-the active time of the team plus three times the time in which nobody chases. Then it is compared, on seeds that it has
-not seen, with local_min, Spatial Adaptive Play and pursuers that always chase, over the latency. With --delays,
-instead: a rule trained without delay against one trained with a delay of 1 s, each on both.
+the active time of the team plus three times the time in which nobody chases. Then it is compared with local_min,
+Spatial Adaptive Play and pursuers that always chase, at several latencies, on seeds that the training has not seen.
+With --delays, a rule trained without delay is compared instead with one trained with a delay of 1 s, each without and
+with the delay.
 
-An interrupted study goes on where it was: what it has measured is in OUT/NAME.progress.json. The weights of the rule
-are in OUT/learning.weights.json, for `protocol = { kind = "policy", file = "learning.weights.json" }`.
+An interrupted study goes on where it was, because OUT/NAME.progress.json has what it has measured. The weights of the
+rule are in OUT/learning.weights.json, for `protocol = { kind = "policy", file = "learning.weights.json" }`.
 """
 
 from collections.abc import Sequence
@@ -74,11 +75,11 @@ def _draw_costs(axes: "Axes", cells: Sequence[Cell]) -> None:
     """Draw the cost of each rule over the latency."""
     rules = dict.fromkeys(cell.rule for cell in cells)
     for colour, mark, rule in zip(palette.SERIES, palette.MARKERS, rules, strict=False):
-        here = [cell for cell in cells if cell.rule == rule]
+        line = [cell for cell in cells if cell.rule == rule]
         axes.errorbar(
-            [cell.latency for cell in here],
-            [cell.cost for cell in here],
-            yerr=[cell.standard_error for cell in here],
+            [cell.latency for cell in line],
+            [cell.cost for cell in line],
+            yerr=[cell.standard_error for cell in line],
             color=colour,
             marker=mark,
             ms=3,
@@ -99,14 +100,17 @@ def _draw_words(axes: "Axes", weights: Sequence[float]) -> None:
 
 
 def _with_delays(options: Options) -> None:
-    """Train a rule without delay and one with it, and compare both on both."""
+    """Train a rule without delay and one with it, and compare both without and with the delay."""
     options = replace(options, name="learning_delays")
     notes = notebook(options)
     trained = {WITHOUT: train(options, notes, NO_DELAY), WITH: train(options, notes, DELAY)}
     rules = {name: linear(generations[-1].mean) for name, generations in trained.items()}
     cells = compare(options, notes, rules | {"local_min": RIVALS["local_min"]}, (NO_DELAY, DELAY))
     text = "\n\n".join(
-        [costs_table(cells, options.runs), *(f"{name}\n{weights_table(g[-1].mean)}" for name, g in trained.items())]
+        [
+            costs_table(cells, options.runs),
+            *(f"{name}\n{weights_table(generations[-1].mean)}" for name, generations in trained.items()),
+        ]
     )
     content: dict[str, Any] = {name: {"training": generations, "costs": []} for name, generations in trained.items()}
     options.show(content | {"costs": cells}, text)
@@ -122,7 +126,7 @@ def _with_delays(options: Options) -> None:
 )
 def main(options: Options) -> None:
     """Train, compare and draw."""
-    if options.own["delays"]:
+    if options.extra["delays"]:
         _with_delays(options)
         return
     notes = notebook(options)

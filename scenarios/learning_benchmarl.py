@@ -1,8 +1,8 @@
 """Train a rule with BenchMARL on TorchRL, and compare it with the rules of the literature.
 
 MAPPO trains one network for all pursuers, each of which observes what it knows; the critic, which is needed in training
-only, sees the true state. The game is that of `python -m scenarios.learning`, in rounds. The network is then the
-protocol `policy`: it is in OUT/NAME.weights.json, and is compared on seeds that it has not seen.
+only, sees the true state. The game is that of `python -m scenarios.learning`, in rounds. The protocol `policy` then
+runs the network from the file OUT/NAME.weights.json, and is compared on seeds that the training has not seen.
 """
 
 from click import IntRange, Option
@@ -26,7 +26,7 @@ def main(options: Options) -> None:
     require("torch", "torchrl", "benchmarl")
     from scenarios.studies.benchmarl_runs import train
 
-    rule, curve = train(options.seed, options.own["steps"])
+    rule, curve = train(options.seed, options.extra["steps"])
     show(options, "learned with BenchMARL", rule, curve)
 
 

@@ -1,8 +1,9 @@
-"""What do pursuers that lie cost a team, and which defence restores what at which price?
+"""What do pursuers that lie cost a team, how much of it does each defence restore, and at which price?
 
-One pursuer of twelve lies in several ways, under four protocols. Then the number of liars grows under each defence of
-`announce.trust`. Then honest teams with wrong clocks show where the truth looks like a lie, and teams with and without
-a liar show what latency and loss make of it. Pursuers have equal speeds, and announce their capture times.
+First, one pursuer of twelve lies in several ways, under four protocols. Second, the number of liars grows under each
+defence of `announce.trust`. Third, honest teams with wrong clocks show where the truth looks like a lie. Fourth, teams
+with and without a liar show the effect of latency and loss. Pursuers have equal speeds, and announce their capture
+times.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
 
 
 THIN: Mapping[str, float] = MappingProxyType({"elinewidth": 0.6})
-"""The look of the error bars of bars."""
+"""The look of error bars on bars."""
 
 
 def table(cells: Sequence[Cell], runs: int) -> str:
@@ -51,22 +52,22 @@ def table(cells: Sequence[Cell], runs: int) -> str:
 def _lies(cells: Sequence[Cell]) -> str:
     lines = [("lie", *PROTOCOLS)]
     for lie in LIES:
-        here = [cell for cell in cells if cell.part == "lies" and cell.lie == lie]
-        lines.append((lie, *(f"{cell.captured.mean:.2f}, {cell.delay:+.1f}" for cell in here)))
+        row_cells = [cell for cell in cells if cell.part == "lies" and cell.lie == lie]
+        lines.append((lie, *(f"{cell.captured.mean:.2f}, {cell.delay:+.1f}" for cell in row_cells)))
     return aligned(lines)
 
 
 def _numbers(cells: Sequence[Cell]) -> str:
-    here = _by_defence(cells, "numbers", WORST)
-    lines = [("defence", *(f"{cell.value:g} liars" for cell in here[NONE]))]
-    lines += [(defence, *(f"{cell.captured.mean:.2f}" for cell in row_cells)) for defence, row_cells in here.items()]
+    rows = _by_defence(cells, "numbers", WORST)
+    lines = [("defence", *(f"{cell.value:g} liars" for cell in rows[NONE]))]
+    lines += [(defence, *(f"{cell.captured.mean:.2f}" for cell in row_cells)) for defence, row_cells in rows.items()]
     return aligned(lines)
 
 
 def _clocks(cells: Sequence[Cell]) -> str:
-    here = _by_defence(cells, "clocks", HONEST)
-    lines = [("defence", *(f"{cell.value:g} s" for cell in here[NONE]))]
-    for defence, row_cells in here.items():
+    rows = _by_defence(cells, "clocks", HONEST)
+    lines = [("defence", *(f"{cell.value:g} s" for cell in rows[NONE]))]
+    for defence, row_cells in rows.items():
         row = (f"{cell.false_accusations.mean:.1f}, {cell.active_time.mean:.1f}" for cell in row_cells)
         lines.append((defence, *row))
     return aligned(lines)
@@ -75,9 +76,9 @@ def _clocks(cells: Sequence[Cell]) -> str:
 def _latency(cells: Sequence[Cell]) -> str:
     lines: list[tuple[str, ...]] = []
     for lie in (HONEST, WORST):
-        here = _by_defence(cells, "latency", lie)
-        lines = lines or [("", *(f"{cell.value:g} s" for cell in here[NONE]))]
-        for defence, row_cells in here.items():
+        rows = _by_defence(cells, "latency", lie)
+        lines = lines or [("", *(f"{cell.value:g} s" for cell in rows[NONE]))]
+        for defence, row_cells in rows.items():
             row = (f"{cell.captured.mean:.2f}, {cell.active_time.mean:.1f}" for cell in row_cells)
             lines.append((f"{lie}, {defence}", *row))
     return aligned(lines)
@@ -112,11 +113,11 @@ def picture(cells: Sequence[Cell]) -> "Figure":
 def _draw_lies(axes: "Axes", cells: Sequence[Cell]) -> None:
     names = [name for name in LIES if name != HONEST]
     for k, (protocol, colour) in enumerate(zip(PROTOCOLS, palette.SERIES, strict=False)):
-        here = {cell.lie: cell for cell in cells if cell.part == "lies" and cell.protocol == protocol}
-        places = [place + 0.18 * (k - 1.5) for place in range(len(names))]
-        late = [here[name].delay for name in names]
-        error = [delay.half_width for delay in late]
-        axes.barh(places, [delay.mean for delay in late], 0.16, xerr=error, color=colour, label=protocol, error_kw=THIN)
+        by_lie = {cell.lie: cell for cell in cells if cell.part == "lies" and cell.protocol == protocol}
+        y = [row + 0.18 * (k - 1.5) for row in range(len(names))]
+        delays = [by_lie[name].delay for name in names]
+        error = [delay.half_width for delay in delays]
+        axes.barh(y, [delay.mean for delay in delays], 0.16, xerr=error, color=colour, label=protocol, error_kw=THIN)
     axes.set_yticks(range(len(names)), names)
     axes.invert_yaxis()
     axes.set(xlabel="capture time, or horizon, beyond that of the honest team (s)")
@@ -126,12 +127,12 @@ def _draw_lies(axes: "Axes", cells: Sequence[Cell]) -> None:
 def _draw(axes: "Axes", lines: Mapping[str, Sequence[Cell]], measure: str) -> None:
     """Draw a result over the value that varies, a line per defence."""
     for k, (colour, mark, defence) in enumerate(zip(palette.SERIES, palette.MARKERS, DEFENCES, strict=False)):
-        here = lines.get(defence, ())
-        if not here:
+        line = lines.get(defence, ())
+        if not line:
             continue
-        span = here[-1].value - here[0].value
-        x = [cell.value + 0.008 * span * (k - 2.5) for cell in here]  # shifted, so that equal lines are seen
-        estimates = [getattr(cell, measure) for cell in here]
+        span = line[-1].value - line[0].value
+        x = [cell.value + 0.008 * span * (k - 2.5) for cell in line]  # shifted, so that equal lines are seen
+        estimates = [getattr(cell, measure) for cell in line]
         draw_estimates(axes, x, estimates, color=colour, marker=mark, elinewidth=0.6, label=defence)
 
 

@@ -30,15 +30,16 @@ SPEEDS = 2.0, 2.0, 3.0
 def toy_robots(port: int) -> None:
     """Serve three robots and an evader that flees from the nearest: [robot, vx, vy] in, [places, evader, over] out."""
     places, velocities = [0j, 6 + 0j, 3 + 6j], [0j, 0j, 0j]
-    evader, last = 3 + 2j, time.monotonic()
+    evader, moved_at = 3 + 2j, time.monotonic()
 
     def move() -> bool:
-        nonlocal evader, last
+        """Move all up to now; return whether the evader is captured."""
+        nonlocal evader, moved_at
         now = time.monotonic()
-        passed, last = now - last, now
+        elapsed, moved_at = now - moved_at, now
         nearest = min(places, key=lambda place: abs(place - evader))
-        evader += passed * (evader - nearest) / max(abs(evader - nearest), 1e-9)
-        places[:] = [place + passed * velocity for place, velocity in zip(places, velocities, strict=True)]
+        evader += elapsed * (evader - nearest) / max(abs(evader - nearest), 1e-9)
+        places[:] = [place + elapsed * velocity for place, velocity in zip(places, velocities, strict=True)]
         return min(abs(place - evader) for place in places) <= 0.2
 
     async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -56,7 +57,7 @@ def toy_robots(port: int) -> None:
 
 
 async def drive(scenario: Scenario, pursuer: int, ports: list[int], start: int, robots: int) -> float:
-    """Let one robot take part until the evader is captured; return the time then, s."""
+    """Let one robot take part until the evader is captured; return the time of its node at the end, s."""
     reader, writer = await asyncio.open_connection(HOST, robots)
     node, peers = Node(scenario, pursuer), [(HOST, port) for port in ports]
     velocity = [0.0, 0.0]
@@ -76,11 +77,11 @@ async def drive(scenario: Scenario, pursuer: int, ports: list[int], start: int, 
 def free_ports(count: int) -> list[int]:
     """Return ports that are free now."""
     sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
-    for one in sockets:
-        one.bind((HOST, 0))
-    ports = [one.getsockname()[1] for one in sockets]
-    for one in sockets:
-        one.close()
+    for unbound in sockets:
+        unbound.bind((HOST, 0))
+    ports = [bound.getsockname()[1] for bound in sockets]
+    for bound in sockets:  # only after all have a port, so that no two get the same
+        bound.close()
     return ports
 
 
@@ -99,7 +100,7 @@ def main() -> None:
     (port,) = free_ports(1)
     robots = get_context("spawn").Process(target=toy_robots, args=(port,), daemon=True)
     robots.start()
-    for _ in range(200):
+    for _ in range(200):  # until the server accepts connections, at most 20 s
         try:
             socket.create_connection((HOST, port)).close()
             break

@@ -38,23 +38,23 @@ if TYPE_CHECKING:
     from desim.analysis.drawing.plots import Axes, Figure
 
 
-def table(games: Sequence[NegotiationSummary], moved: Sequence[PursuitSummary], runs: int) -> str:
+def table(games: Sequence[NegotiationSummary], pursuits: Sequence[PursuitSummary], runs: int) -> str:
     """Return all results as text."""
     return "\n\n".join(
         [
             _by_size(games, runs),
             _by_cooling(games, GAMES_PER_RUN * runs),
             _by_temperature(games, GAMES_PER_RUN * runs),
-            _pursuit_tables(moved, runs),
+            _pursuit_tables(pursuits, runs),
         ]
     )
 
 
 def _by_size(games: Sequence[NegotiationSummary], runs: int) -> str:
-    here = {(game.pursuers, game.evaders, game.protocol): game for game in games if game.slots == BUDGET}
+    by_size = {(game.pursuers, game.evaders, game.protocol): game for game in games if game.slots == BUDGET}
     rows = [("", *(f"{n} to {m}" for n, m in SIZES))]
     for name in CONTENDERS:
-        line = [here[*size, name] for size in SIZES]
+        line = [by_size[*size, name] for size in SIZES]
         rows.append((name, *(f"{game.share:.3f}  {game.best.mean:4.0%}" for game in line)))
     return (
         f"Welfare of the final profile / optimum, and share of games that end in the best assignment, N to M:\n"
@@ -63,31 +63,31 @@ def _by_size(games: Sequence[NegotiationSummary], runs: int) -> str:
 
 
 def _by_cooling(games: Sequence[NegotiationSummary], runs: int) -> str:
-    here = {(game.slots, game.protocol): game for game in games if _is_hard(game)}
+    by_slots = {(game.slots, game.protocol): game for game in games if _is_hard(game)}
     rows = [("", *(f"{slots} slots" for slots in BUDGETS))]
     for name in COOLED:
-        line = [here[slots, name] for slots in BUDGETS]
+        line = [by_slots[slots, name] for slots in BUDGETS]
         rows.append((name, *("{:.0%} ({:.0%} .. {:.0%})".format(game.best.mean, *game.best.interval) for game in line)))
     about = f"{HARD[0]} to {HARD[1]}, static, {runs} games, 95 % Wilson intervals"
     return f"Share of games that end in the best assignment: {about}\n{aligned(rows)}"
 
 
 def _by_temperature(games: Sequence[NegotiationSummary], runs: int) -> str:
-    here = {(game.temperature, game.protocol): game for game in games}
+    by_temperature = {(game.temperature, game.protocol): game for game in games}
     rows = [("", *(f"{tau:g} s" for tau in TEMPERATURES))]
     for kind in ("sap", "selective_sap"):
-        line = [here[tau, kind] for tau in TEMPERATURES]
+        line = [by_temperature[tau, kind] for tau in TEMPERATURES]
         rows.append((kind, *(f"{game.share:.3f}" for game in line)))
     about = f"{HARD[0]} to {HARD[1]}, static, {BUDGET} slots, {runs} games, 95 % intervals"
     return f"Welfare of the final profile / optimum at constant temperatures: {about}\n{aligned(rows)}"
 
 
-def _pursuit_tables(moved: Sequence[PursuitSummary], runs: int) -> str:
-    here = {(pursuit.pursuers, pursuit.evaders, pursuit.protocol): pursuit for pursuit in moved}
+def _pursuit_tables(pursuits: Sequence[PursuitSummary], runs: int) -> str:
+    by_size = {(pursuit.pursuers, pursuit.evaders, pursuit.protocol): pursuit for pursuit in pursuits}
     heads = [f"{n} to {m}" for n, m in SIZES]
     times, paired, caught = [("", *heads)], [("", *heads)], [("", *heads)]
     for name in CONTENDERS:
-        line = [here[*size, name] for size in SIZES]
+        line = [by_size[*size, name] for size in SIZES]
         times.append((name, *(f"{pursuit.duration:.2f}" for pursuit in line)))
         caught.append((name, *(f"{pursuit.captured.mean:.0%} ({pursuit.all_captured:.0%})" for pursuit in line)))
         if name != REFERENCE:
@@ -104,7 +104,7 @@ def _is_hard(game: NegotiationSummary) -> bool:
     return (game.pursuers, game.evaders) == HARD and game.temperature is None
 
 
-def picture(games: Sequence[NegotiationSummary], moved: Sequence[PursuitSummary]) -> "Figure":
+def picture(games: Sequence[NegotiationSummary], pursuits: Sequence[PursuitSummary]) -> "Figure":
     """Draw the effects of cooling and of a constant temperature, and the durations of the pursuits."""
     from desim.analysis.drawing import plots
 
@@ -112,7 +112,7 @@ def picture(games: Sequence[NegotiationSummary], moved: Sequence[PursuitSummary]
         cooling, temperature, time = figure.subplots(3, 1, height_ratios=(1.0, 1.0, 1.25))
         draw_cooling(cooling, [game for game in games if _is_hard(game)])
         draw_temperatures(temperature, [game for game in games if game.temperature is not None])
-        draw_pursuits(time, moved)
+        draw_pursuits(time, pursuits)
     return figure
 
 
@@ -121,9 +121,9 @@ def draw_cooling(axes: "Axes", games: Sequence[NegotiationSummary]) -> None:
     from matplotlib.ticker import PercentFormatter
 
     styles = zip(COOLED, "oDs^", (0.94, 0.98, 1.02, 1.06), palette.SERIES, strict=False)
-    for name, marker, aside, colour in styles:
+    for name, marker, shift, colour in styles:
         line = [game for game in games if game.protocol == name]
-        x = [game.slots * aside for game in line]  # error bars side by side
+        x = [game.slots * shift for game in line]  # shifted, so that error bars do not overlap
         dashes = "-" if name.endswith("slow") else ":"
         draw_estimates(
             axes, x, [game.best for game in line], color=colour, ls=dashes, marker=marker, ms=3.5, label=name
@@ -142,9 +142,9 @@ def draw_temperatures(axes: "Axes", games: Sequence[NegotiationSummary]) -> None
         "sap": ("SAP", "o", 0.97, palette.SERIES[0]),
         "selective_sap": ("Selective SAP", "s", 1.03, palette.SERIES[2]),
     }
-    for kind, (label, marker, aside, colour) in kinds.items():
+    for kind, (label, marker, shift, colour) in kinds.items():
         line = [game for game in games if game.protocol == kind]
-        x = [(game.temperature or 0.0) * aside for game in line]
+        x = [(game.temperature or 0.0) * shift for game in line]
         draw_estimates(axes, x, [game.share for game in line], color=colour, marker=marker, ms=3.5, label=label)
     axes.set(xscale="log", xlabel=r"constant temperature $\tau$ (s)", ylabel="welfare / optimum", ylim=(0.0, 1.0))
     axes.set_xticks(TEMPERATURES, [f"{tau:g}" for tau in TEMPERATURES])
@@ -152,11 +152,11 @@ def draw_temperatures(axes: "Axes", games: Sequence[NegotiationSummary]) -> None
     axes.legend(fontsize=7, loc="lower left")
 
 
-def draw_pursuits(axes: "Axes", moved: Sequence[PursuitSummary]) -> None:
+def draw_pursuits(axes: "Axes", pursuits: Sequence[PursuitSummary]) -> None:
     """Draw the durations of the pursuits, a row per protocol, a mark per size."""
     rows = {name: row for row, name in enumerate(CONTENDERS)}
     for k, ((n, m), marker, colour) in enumerate(zip(SIZES, "oDs^", palette.SERIES, strict=False)):
-        line = [pursuit for pursuit in moved if (pursuit.pursuers, pursuit.evaders) == (n, m)]
+        line = [pursuit for pursuit in pursuits if (pursuit.pursuers, pursuit.evaders) == (n, m)]
         y = [rows[pursuit.protocol] + 0.15 * (k - 1.5) for pursuit in line]
         x, error = [pursuit.duration.mean for pursuit in line], [pursuit.duration.half_width for pursuit in line]
         axes.errorbar(
@@ -179,9 +179,9 @@ def draw_pursuits(axes: "Axes", moved: Sequence[PursuitSummary]) -> None:
 @study("many", __doc__, seconds=5, runs=40)
 def main(options: Options) -> None:
     """Measure the static games and the pursuits, and show them."""
-    games, moved = run_static_games(options), run_pursuits(options)
-    document = {"negotiations": games, "pursuits": moved}
-    options.show(document, table(games, moved, options.runs), lambda: picture(games, moved))
+    games, pursuits = run_static_games(options), run_pursuits(options)
+    document = {"negotiations": games, "pursuits": pursuits}
+    options.show(document, table(games, pursuits, options.runs), lambda: picture(games, pursuits))
 
 
 if __name__ == "__main__":

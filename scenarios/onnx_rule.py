@@ -3,7 +3,7 @@
 The network maps the (1, n) numbers of an observation to the (1, M + 1) scores of the actions. The metadata "features"
 of the file has the names of its inputs, separated by spaces. The rule needs the package onnxruntime.
 
-As a program it makes such a file of a file of weights, through a network of torch.
+Run as a program, this module converts a file of weights of the protocol `policy` into such a file, by means of torch.
 """
 
 from collections.abc import Iterator
@@ -75,14 +75,14 @@ def session(path: str) -> Any:
 
 @lru_cache(maxsize=8)
 def _session(path: str, _time: int, _size: int) -> Any:
-    """Return the network of a file that was last changed at a time, ns, and has a size."""
+    """Return the network of a file; by `_time` (of its last change, ns) and `_size` the cache notices a new content."""
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1  # runs are parallel already
     try:
         return onnxruntime.InferenceSession(path, options)
-    except Exception as error:  # those of onnxruntime have no class in common
+    except Exception as error:  # the errors of onnxruntime have no other class in common
         raise ValueError(f"{path} cannot be read: {error}") from error
 
 
@@ -105,7 +105,7 @@ def torch_network(policy: Policy) -> Any:
             linear.weight.copy_(torch.tensor(layer.weights))
             linear.bias.copy_(torch.tensor(layer.bias))
         parts += [linear, torch.nn.Tanh() if policy.activation == "tanh" else torch.nn.ReLU()]
-    return torch.nn.Sequential(*parts[:-1])
+    return torch.nn.Sequential(*parts[:-1])  # no activation after the last layer
 
 
 @click.command()

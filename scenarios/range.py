@@ -43,23 +43,23 @@ def table(pursuits: Sequence[Pursuits], static: Sequence[Games], runs: int) -> s
 
 
 def _tables(team: str, pursuits: Sequence[Pursuits], static: Sequence[Games], runs: int) -> list[str]:
-    here = {(pursuit.range, pursuit.protocol): pursuit for pursuit in pursuits}
-    about = [("R", "no equilibrium", "95 % interval", "components", "independent set")]
+    by_setting = {(pursuit.range, pursuit.protocol): pursuit for pursuit in pursuits}
+    properties = [("R", "no equilibrium", "95 % interval", "components", "independent set")]
     active, paired = [("R", *PROTOCOLS)], [("R", *(name for name in PROTOCOLS if name != REFERENCE))]
     for game in static:
         radius = f"{game.range:g} m"
         interval = "{:.1%} .. {:.1%}".format(*game.unsettled.interval)
-        about.append(
+        properties.append(
             (radius, f"{game.unsettled.mean:.1%}", interval, f"{game.components:.2f}", f"{game.independent:.2f}")
         )
-        line = [here[game.range, name] for name in PROTOCOLS]
+        line = [by_setting[game.range, name] for name in PROTOCOLS]
         active.append((radius, *(f"{cell.active_time:.1f}" for cell in line)))
         compared = [cell for cell in line if cell.protocol != REFERENCE]
         paired.append((radius, *(f"{cell.difference:+.1f}" for cell in compared)))
     about_runs = f"{team}, {N} pursuers, {runs} runs, 95 % intervals"
-    games = f"{team}, {N} pursuers, {static[0].games} games"
+    about_games = f"{team}, {N} pursuers, {static[0].games} games"
     return [
-        f"Games of t = 0, in which a pursuer hears the pursuers within R: {games}\n{aligned(about)}",
+        f"Games of t = 0, in which a pursuer hears the pursuers within R: {about_games}\n{aligned(properties)}",
         f"Sum of active times, s: {about_runs}\n{aligned(active)}",
         f"Sum of active times minus that of the game per component with the same seeds, s: {about_runs}\n"
         f"{aligned(paired)}",

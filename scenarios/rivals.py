@@ -31,30 +31,30 @@ def table(cells: Sequence[Cell], runs: int) -> str:
 
 
 def _tables(world: str, cells: Sequence[Cell], runs: int) -> list[str]:
-    here = {(cell.protocol, cell.latency): cell for cell in cells if cell.world == world}
+    by_setting = {(cell.protocol, cell.latency): cell for cell in cells if cell.world == world}
     names = list(dict.fromkeys(cell.protocol for cell in cells))
     heads = [f"L = {latency:g} s" for latency in LATENCIES]
     active, paired = [("", *heads)], [("", *heads)]
     for name in names:
-        line = [here[name, latency] for latency in LATENCIES]
+        line = [by_setting[name, latency] for latency in LATENCIES]
         active.append((name, *(f"{cell.active_time:.1f}" for cell in line)))
         if name != REFERENCE:
             paired.append((name, *(f"{cell.difference:+.1f}" for cell in line)))
     heads = ["captured", "relayed", "after", "misassigned", "regret", "handovers", "sent/s", "kB/s"]
     messages = [("", *heads)]
     for name in names:
-        at = here[name, SHOWN]
+        cell = by_setting[name, SHOWN]
         messages.append(
             (
                 name,
-                f"{at.captured:.0%}",
-                f"{at.relayed:.0%}",
-                "-" if at.time_to_relay is None else f"{at.time_to_relay:.2f} s",
-                f"{at.misassigned_time:.2f} s",
-                f"{at.network_regret:.1f} s^2",
-                f"{at.handovers:.1f}",
-                f"{at.transmissions:.0f}",
-                f"{at.kilobytes:.2f}",
+                f"{cell.captured:.0%}",
+                f"{cell.relayed:.0%}",
+                "-" if cell.time_to_relay is None else f"{cell.time_to_relay:.2f} s",
+                f"{cell.misassigned_time:.2f} s",
+                f"{cell.network_regret:.1f} s^2",
+                f"{cell.handovers:.1f}",
+                f"{cell.transmissions:.0f}",
+                f"{cell.kilobytes:.2f}",
             )
         )
     about = f"{world}, {N} pursuers, {runs} runs, 95 % intervals"
@@ -76,7 +76,7 @@ def picture(cells: Sequence[Cell]) -> "Figure":
     names = sorted(total, key=total.__getitem__)
     with plots.styled(figsize=(9.5, 4.6)) as figure:
         for axes, world in zip(figure.subplots(1, len(WORLDS), sharey=True, squeeze=False)[0], WORLDS, strict=True):
-            draw(axes, world, names, [here for here in cells if here.world == world])
+            draw(axes, world, names, [cell for cell in cells if cell.world == world])
         figure.supxlabel("one-way latency L (s)", fontsize=9)
     return figure
 

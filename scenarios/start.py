@@ -1,11 +1,12 @@
 """Measure what the initial knowledge of pursuers does to the cost of latency (`announce.start`).
 
-First, the cost of latency for three rules, in a team of which few could capture before the horizon and in one of which
-all could: with first actions that are announced over the network, known without a message, or not announced. Second,
-who causes it where few could: the active time of those that could not capture in time, and of the others, under the
-mean utility of the paper and under `minimum`. With --law, instead, what announcing first actions adds to the scaling
-law of `scenarios.delay` if all could capture in time; the theory is (1 - 1 / N) L lambda. With --worth, what a message
-saves: a team that announces its actions is compared with a silent one that knows the same at the start.
+First, the cost of latency is measured for three rules in two teams: few pursuers of one could capture before the
+horizon, and all of the other. First actions are announced over the network, known without a message, or not announced.
+Second, for the team in which few could, the cost is divided between those that could not capture in time and the
+others, under the mean utility of the paper and under `minimum`. With --law, the study measures instead what announcing
+first actions adds to the scaling law of `scenarios.delay` if all could capture in time; the theory is (1 - 1 / N) L
+lambda. With --worth, it measures what a message saves: a team that announces its actions is compared with a silent one
+that knows the same at the start.
 """
 
 from collections.abc import Sequence
@@ -82,11 +83,11 @@ def worth_table(worth: Sequence[Worth], runs: int) -> str:
 )
 def main(options: Options) -> None:
     """Measure the costs, and who causes them; or the law; or the worth of messages."""
-    if options.own["worth"]:
+    if options.extra["worth"]:
         worth = measure_worth(options)
         options.show({"worth": worth}, worth_table(worth, options.runs))
         return
-    if options.own["law"]:
+    if options.extra["law"]:
         extras = measure_law(options)
         options.show({"law": extras}, law_table(extras, options.runs))
         return

@@ -58,7 +58,8 @@ def measure(options: Options) -> list[Cell]:
 
 def _cell(algorithm: str, count: int, delta: float, start: str, times: list[float]) -> Cell:
     measured, published = estimate(times), PUBLISHED[algorithm, count, delta]
-    error, ratio = 0.0 if start == ANY else measured.standard_error, measured.mean / published
+    error = 0.0 if start == ANY else measured.standard_error  # a centralised cell has one run without random draws
+    ratio = measured.mean / published
     return Cell(algorithm, count, delta, start, measured.count, measured.mean, error, published, ratio)
 
 

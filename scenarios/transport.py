@@ -54,15 +54,15 @@ def table(cells: Sequence[Cell], runs: int) -> str:
 def _pursuits(cells: Sequence[Cell]) -> str:
     compared = [way for way in WAYS if way != REFERENCE]
     lines = [(cells[0].swept, REFERENCE, *compared, *(f"bytes/s, {way}" for way in WAYS))]
-    for value, here in _by_value(cells).items():
-        active = here[REFERENCE].active_time
-        differences = [here[way].difference for way in compared]
+    for value, by_way in _by_value(cells).items():
+        active = by_way[REFERENCE].active_time
+        differences = [by_way[way].difference for way in compared]
         lines.append(
             (
                 f"{value:g}",
                 f"{active:.1f}",
                 *(f"{difference:+.2f}" for difference in differences),
-                *(f"{here[way].rate:,.0f}" for way in WAYS),
+                *(f"{by_way[way].rate:,.0f}" for way in WAYS),
             )
         )
     return aligned(lines)
@@ -70,10 +70,10 @@ def _pursuits(cells: Sequence[Cell]) -> str:
 
 def _ages(cells: Sequence[Cell]) -> str:
     lines = [(cells[0].swept, *WAYS, *(f"bytes/s, {way}" for way in WAYS))]
-    for value, here in _by_value(cells).items():
-        ages = [age for way in WAYS if (age := here[way].age) is not None]
+    for value, by_way in _by_value(cells).items():
+        ages = [age for way in WAYS if (age := by_way[way].age) is not None]
         means = (f"{age:.3f}" for age in ages)
-        lines.append((f"{value:g}", *means, *(f"{here[way].age_rate:,.0f}" for way in WAYS)))
+        lines.append((f"{value:g}", *means, *(f"{by_way[way].age_rate:,.0f}" for way in WAYS)))
     return aligned(lines)
 
 
@@ -91,11 +91,11 @@ def picture(cells: Sequence[Cell]) -> "Figure":
     with plots.styled(figsize=(9.0, 5.5)) as figure:
         grid = figure.subplots(2, len(SWEEPS), squeeze=False)
         for (above, below), swept in zip(grid.T, SWEEPS, strict=True):
-            here = [cell for cell in cells if cell.swept == swept]
+            line = [cell for cell in cells if cell.swept == swept]
             repeated = [way for way in WAYS if way != ONCE]
-            draw(above, swept, {way: [cell.difference for cell in here if cell.way == way] for way in repeated})
+            draw(above, swept, {way: [cell.difference for cell in line if cell.way == way] for way in repeated})
             if swept in WITH_AGES:
-                ages = {way: [cell.age for cell in here if cell.way == way and cell.age is not None] for way in WAYS}
+                ages = {way: [cell.age for cell in line if cell.way == way and cell.age is not None] for way in WAYS}
                 draw(below, swept, ages)
                 below.set(yscale="log")
                 below.set_xlabel(LABELS[swept])

@@ -1,10 +1,10 @@
 """What walls cost each protocol, through radio, sight and motion separately: four rooms with doors.
 
 Six pursuers look for an evader in four rooms (`scenarios/rooms.toml`). The walls block nothing, one of radio, sight and
-motion, or all of them. With walls for radio, pursuers hear each other within a room and through doors; with walls for
-sight, they see the evader so; with walls for motion, all players walk around walls. Each cost is the difference from
-walls that block nothing, with the same seeds. All protocols, also `local_min`, have their default parameters. All start
-at the same places, which are outside of the walls.
+motion, or all three. If they block radio, pursuers hear each other only within a room and through doors; if they block
+sight, pursuers see the evader only within a room and through doors; if they block motion, all players walk around them.
+Each cost is the difference from walls that block nothing, with the same seeds. All protocols, also `local_min`, have
+their default parameters. The players start at the same places in all cases, outside of the walls.
 """
 
 from collections.abc import Mapping, Sequence
@@ -37,14 +37,15 @@ METRICS = MappingProxyType({"active time": active_time, "end time": end_time})
 
 @dataclass(frozen=True)
 class Cost:
-    """What walls that block something cost one protocol, s."""
+    """The cost of walls to one protocol in one metric, s."""
 
     protocol: str
     blocked: str
     metric: str
     mean: float
+    """The mean of the metric among these walls, s."""
     difference: Estimate
-    """From walls that block nothing."""
+    """Paired difference of the metric from that among walls that block nothing, s."""
 
 
 def rooms(protocol: str, blocks: Sequence[str]) -> Scenario:
@@ -64,9 +65,9 @@ def measure(options: Options) -> list[Cost]:
     costs = []
     for protocol, blocked in cases:
         for k, metric in enumerate(METRICS):
-            among = [run[k] for run in values[protocol, blocked]]
-            free = [run[k] for run in values[protocol, "nothing"]]
-            costs.append(Cost(protocol, blocked, metric, estimate(among).mean, paired(among, free)))
+            with_walls = [run[k] for run in values[protocol, blocked]]
+            without = [run[k] for run in values[protocol, "nothing"]]
+            costs.append(Cost(protocol, blocked, metric, estimate(with_walls).mean, paired(with_walls, without)))
     return costs
 
 
@@ -77,9 +78,9 @@ def table(costs: Sequence[Cost], runs: int) -> str:
         rows = [("protocol", "without walls", *(name for name in BLOCKED if name != "nothing"))]
         for protocol in PROTOCOLS:
             line = [cost for cost in costs if (cost.protocol, cost.metric) == (protocol, metric)]
-            free = next(cost.mean for cost in line if cost.blocked == "nothing")
-            added = [f"{c.difference:+.2f}" for c in line if c.blocked != "nothing"]
-            rows.append((protocol, f"{free:.2f}", *added))
+            without = next(cost.mean for cost in line if cost.blocked == "nothing")
+            added = [f"{cost.difference:+.2f}" for cost in line if cost.blocked != "nothing"]
+            rows.append((protocol, f"{without:.2f}", *added))
         parts.append(f"{metric}, s, and what walls add to it; {runs} runs, 95 % intervals\n{aligned(rows)}")
     return "\n\n".join(parts)
 

@@ -115,7 +115,7 @@ def _names_from(allowed: Sequence[str]) -> Any:
 )
 def main(options: Options) -> None:
     """Measure, compare and show."""
-    choices = options.own
+    choices = options.extra
     ways = [name for name in choices["only"] if choices["peers"] or name not in PEERS]
     document: dict[str, Any] = {}
     tables, rates = [], list[Rate]()

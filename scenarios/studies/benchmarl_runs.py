@@ -79,7 +79,7 @@ class Curve(Callback):
 
 
 def normal_of(numbers: torch.Tensor) -> Normal:
-    """Return the mean and the deviation of the last dimension; constants have a deviation of 0.1."""
+    """Return the mean and the deviation of each number of the last dimension; constants have a deviation of 0.1."""
     rows = numbers.reshape(-1, numbers.shape[-1])
     return rows.mean(0), (rows.var(0) + 1e-2).sqrt()
 
@@ -92,12 +92,12 @@ def train(seed: int, steps: int) -> tuple[Policy, Sequence[Progress]]:
         steps: the number of steps of pursuers.
     """
     torch.set_num_threads(1)
-    torch.manual_seed(seed)  # of the random actions from which the normalisation comes; the experiment seeds again
+    torch.manual_seed(seed)  # for the random actions before the normalisation; the experiment sets its own seed
     with TemporaryDirectory() as folder:
         task = Relay("relay", {"rounds": 100})
         plain = task.get_env_fun(1, False, seed + 1, "cpu")()
-        played = torch.cat([plain.rollout(100) for _ in range(20)])
-        task.config |= {key: normal_of(played[key]) for key in (OBSERVATION, STATE)}
+        steps_played = torch.cat([plain.rollout(100) for _ in range(20)])
+        task.config |= {key: normal_of(steps_played[key]) for key in (OBSERVATION, STATE)}
         count = len(plain.possible_agents)
         config = ExperimentConfig.get_from_yaml()
         config.loggers, config.create_json, config.evaluation, config.save_folder = [], False, False, folder

@@ -84,7 +84,7 @@ class Cell:
 
 
 def pursuit(rule: str, motion: str, latency: float) -> Scenario:
-    """Return a pursuit by 8 pursuers of equal speed, of an evader that flees the active ones, towards the others."""
+    """Return a pursuit of an evader that flees the active ones of 8 pursuers with equal speeds."""
     return Scenario(
         name="bodies",
         horizon=60.0,
@@ -103,8 +103,8 @@ def measure(options: Options) -> list[Cell]:
     """Run each rule with each motion at each latency, and return the results."""
     keys = [(rule, motion, latency) for rule in RULES for motion in MOTIONS for latency in LATENCIES]
     runs = options.measure_each(keys, pursuit, "bodies", metrics_of(active_time, captured, end_time, handovers))
-    times = {key: np.array([active_time for active_time, *_ in of_key]) for key, of_key in runs.items()}
-    return [_cell(key, of_key, times) for key, of_key in runs.items()]
+    times = {key: np.array([active_time for active_time, *_ in runs_of_key]) for key, runs_of_key in runs.items()}
+    return [_cell(key, runs_of_key, times) for key, runs_of_key in runs.items()]
 
 
 def _cell(key: tuple[str, str, float], runs: Sequence[Any], times: Mapping[tuple[str, str, float], Floats]) -> Cell:
@@ -112,19 +112,19 @@ def _cell(key: tuple[str, str, float], runs: Sequence[Any], times: Mapping[tuple
     rule, motion, latency = key
     _, caught, durations, handed_over = zip(*runs, strict=True)
 
-    def late(moving: str) -> Floats:
-        return times[rule, moving, latency] - times[rule, moving, 0.0]
+    def cost_of_latency(motion: str) -> Floats:
+        return times[rule, motion, latency] - times[rule, motion, 0.0]
 
     return Cell(
         *key,
         portable_sum(caught) / len(runs),
         estimate(durations),
         estimate(times[key]),
-        estimate(late(motion)),
-        paired(late(motion), late(SIMPLE)),
+        estimate(cost_of_latency(motion)),
+        paired(cost_of_latency(motion), cost_of_latency(SIMPLE)),
         paired(times[key], times[ONE, motion, latency]),
-        estimate([float(one.number) for one in handed_over]),
-        ratio([one.excess for one in handed_over], [one.number for one in handed_over]),
+        estimate([float(of_run.number) for of_run in handed_over]),
+        ratio([of_run.excess for of_run in handed_over], [of_run.number for of_run in handed_over]),
     )
 
 
@@ -146,16 +146,16 @@ def handovers(result: Result) -> Handovers:
     """
     (hunt,) = evader_pursuits(result)
     active = {pursuer for pursuer, chasing in enumerate(hunt.start) if chasing}
-    before, last, count, excess, since_last = 0, None, 0, 0.0, 0.0
-    for t, pursuer, _ in [*hunt.steps, (hunt.end, -1, 0)]:
-        if t > before:
+    previous_t, last_alone, count, excess, excess_since = 0, None, 0, 0.0, 0.0
+    for t, pursuer, _ in [*hunt.steps, (hunt.end, -1, 0)]:  # the last entry closes the interval before the end
+        if t > previous_t:
             if len(active) == 1:
                 (alone,) = active
-                if last is not None and alone != last:
-                    count, excess = count + 1, excess + since_last
-                last, since_last = alone, 0.0
+                if last_alone is not None and alone != last_alone:
+                    count, excess = count + 1, excess + excess_since
+                last_alone, excess_since = alone, 0.0
             else:
-                since_last += max(len(active) - 1, 0) * seconds(t - before)
+                excess_since += max(len(active) - 1, 0) * seconds(t - previous_t)
         active ^= {pursuer}
-        before = t
+        previous_t = t
     return Handovers(count, excess)

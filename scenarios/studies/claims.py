@@ -1,4 +1,4 @@
-"""The numbers in README and docs that are measured, each with what measures it; for `scenarios.check_pages`."""
+"""The numbers in README and docs that are measured, each with its measurement; for `scenarios.check_pages`."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -91,7 +91,7 @@ class Claim:
     sentence: str
     """The text as it is on the page, with braces around each measured number; line breaks count as spaces."""
     numbers: Sequence[Number]
-    """What measures the numbers in braces, in order."""
+    """The measurements of the numbers in braces, in order."""
     share: float = 1.0
     """Number of runs, relative to that of other claims."""
     sigmas: float = 1.0
@@ -103,7 +103,7 @@ class Claim:
         return self.sentence.replace("{", "").replace("}", "")
 
     def published(self) -> Iterator[tuple[str, float, float | None, float]]:
-        """Yield of each number its text, mean, half width (None: not said), and half a unit of its last digit."""
+        """Yield the text, mean, half width (None if absent) and half a unit of the last digit of each number."""
         for text in MARKED.findall(self.sentence):
             parts = PARTS.fullmatch(text)
             if parts is None:
@@ -153,22 +153,20 @@ COMMANDS = MappingProxyType(
         "decides": "desim sensitivity scenarios/bench/v1/latency.toml",
     }
 )
-"""What a page names beside a number that no study of this name measured."""
+"""For each `Claim.study` that is not the name of a module: the command that the page names beside the number."""
 CLOCKS = SpatialAdaptivePlay(schedule=Poisson(rate=5.0))
 BEHIND = ("sap", "best_response")
 SIMPLE, RELIABLE = bodies_runs.SIMPLE, transport_runs.RELIABLE
+Statement = tuple[str, Sequence[Number]]
+"""The sentence of a claim, and the measurements of its numbers."""
 
 
-Told = tuple[str, Sequence[Number]]
-"""The sentence of a claim, and what measures its numbers."""
-
-
-def claims(study: str, page: str, *told: Told, share: float = 1.0, sigmas: float = 1.0) -> list[Claim]:
+def claims(study: str, page: str, *statements: Statement, share: float = 1.0, sigmas: float = 1.0) -> list[Claim]:
     """Return several claims of one study on one page."""
-    return [Claim(study, page, *one, share, sigmas) for one in told]
+    return [Claim(study, page, *statement, share, sigmas) for statement in statements]
 
 
-def crash(name: str, who: str, crashes_at: str, idle: str) -> Told:
+def crash(name: str, who: str, crashes_at: str, idle: str) -> Statement:
     """Return the row of a scenario that breaks a protocol: when a pursuer crashes, and how long the evader is alone."""
     files = f'([file](../_static/broken/{name}.toml), <a href="broken/{name}.html#t={crashes_at}">film</a>)'
     return f"{who} crashes at {{{crashes_at}}} s {files} | {{{idle}}} |", (crash_time(name), alone(name))

@@ -1,4 +1,4 @@
-"""The measurements of the numbers in `scenarios.studies.claims`: each function returns what measures a number."""
+"""The measurements of the numbers in `scenarios.studies.claims`: a function returns a `Number`, which measures one."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -68,12 +68,12 @@ def of(estimate: Estimate, scale: float = 1.0) -> Measured:
 
 
 def average(metric: Callable[[Any], float], scenario: Scenario, scale: float = 1.0) -> Number:
-    """Return what measures the mean of a metric over runs."""
+    """Return the measurement of the mean of a metric over runs."""
     return lambda options: of(mean(options.measure([scenario], "", metric)[0]), scale)
 
 
 def difference(metric: Callable[[Any], float], minuend: Scenario, subtrahend: Scenario, scale: float = 1.0) -> Number:
-    """Return what measures the paired difference of a metric between two scenarios."""
+    """Return the measurement of the paired difference of a metric between two scenarios."""
     return lambda options: of(paired(*options.measure([minuend, subtrahend], "", metric)), scale)
 
 
@@ -97,7 +97,7 @@ def in_trials(count: int, trials: int) -> Measured:
 
 
 def cost(team: str, rule: str, latency: float, start: Start = "announced") -> Number:
-    """Return what measures how much active time a latency costs in `scenarios.start`."""
+    """Return the measurement of how much active time a latency costs in `scenarios.start`."""
     late, prompt = (start_runs.pursuit(team, start_runs.RULES[rule], start, delay) for delay in (latency, 0.0))
     return difference(active_time, late, prompt)
 
@@ -111,9 +111,9 @@ def worth(options: Options, rule: str, start: Start) -> Measured:
 
 
 def increase(start: Start, *, whole: bool) -> Number:
-    """Return what measures how much more active pursuers are at a latency of 0.5 s than without where few are in time.
+    """Return the measurement of the active time that a latency of 0.5 s adds in a team of which few are in time.
 
-    `whole`: all pursuers, or else those that could not capture in time at the start.
+    With `whole` it is that of all pursuers, else of those that could not capture in time at the start.
     """
     rule = BestResponse(utility=start_runs.UTILITIES["mean"])
     late, prompt = (start_runs.pursuit("few in time", rule, start, delay) for delay in (start_runs.LONG, 0.0))
@@ -126,7 +126,7 @@ def time_of_late_ones(result: Result) -> float:
 
 
 def announcing(schedule: str, delay: float) -> Number:
-    """Return what measures what announcing first actions adds to the excess of a static game, in N^2 delta."""
+    """Return the measurement of what announcing first actions adds to the excess of a static game, in N^2 delta."""
     game = delay_runs.SCHEDULES[schedule](1.0 / (delay_runs.N * delay_runs.LAMBDA))
     announced, at_start = (
         delay_runs.static(game, delay / delay_runs.LAMBDA, start) for start in ("announced", "known")
@@ -135,25 +135,25 @@ def announcing(schedule: str, delay: float) -> Number:
 
 
 def excess(schedule: str) -> Number:
-    """Return what measures the excess of a static game without latency, in N^2 delta."""
+    """Return the measurement of the excess of a static game without latency, in N^2 delta."""
     game = delay_runs.SCHEDULES[schedule](1.0 / (delay_runs.N * delay_runs.LAMBDA))
     return average(excess_time, delay_runs.static(game, 0.0), scale=UNIT)
 
 
 def of_table1(count: int, slot: float) -> Number:
-    """Return what measures a decentralised cell of Table I."""
+    """Return the measurement of a decentralised cell of Table I."""
     return average(active_time, table1_runs.decentralised(table1_runs.configuration(count), slot))
 
 
 def explained(metric: Callable[[Any], float], part: str | None = None, scale: float = 1.0) -> Number:
-    """Return what measures what an imperfection of `imperfect.toml` costs in a metric; None: all together."""
+    """Return the measurement of what an imperfection of `imperfect.toml` costs in a metric; None: all together."""
     game = load(SCENARIOS / "imperfect.toml")
     removed = [IMPERFECTIONS[part]] if part else IMPERFECTIONS.values()
     return difference(metric, game, reduce(lambda so_far, remove: remove(so_far), removed, game), scale)
 
 
 def bounds_of_imperfect() -> tuple[Number, Number]:
-    """Return what measures the active time of `imperfect.toml` on a perfect network, and what silence adds."""
+    """Return the measurement of the active time of `imperfect.toml` on a perfect network, and what silence adds."""
     game = load(SCENARIOS / "imperfect.toml")
     perfect, silent = with_perfect_network(game), without_messages(game)
     return average(active_time, perfect), difference(active_time, silent, perfect)
@@ -177,7 +177,7 @@ def unsettled(options: Options, team: str, distance: float) -> Measured:
 
 
 def lost_by(protocol: str, access: str, load: float, start: Start = "announced", scale: float = 1.0) -> Number:
-    """Return what measures the active time lost by an access model."""
+    """Return the measurement of the active time lost by an access model."""
     contended, reference = (
         contention_runs.pursuit(protocol, medium, load) for medium in (access, contention_runs.REFERENCE)
     )
@@ -199,13 +199,13 @@ def over_before_the_second(options: Options, spreading_factor: int) -> Measured:
 @number
 def transported(options: Options, /, way: str | None, scale: float = 1.0, **setting: Any) -> Measured:
     """Measure the active time of a way to announce minus that of heartbeats; None: that of heartbeats."""
-    here = transport_runs.Setting(**setting)
+    links = transport_runs.Setting(**setting)
     (reliable,) = options.measure(
-        [transport_runs.pursuit(here, transport_runs.RELIABLE)], "", transport_runs.run_of_pursuit
+        [transport_runs.pursuit(links, transport_runs.RELIABLE)], "", transport_runs.run_of_pursuit
     )
     budget = transport_runs.budget_of(reliable)
     ways = [way or transport_runs.HEARTBEATS, transport_runs.HEARTBEATS]
-    games = [transport_runs.pursuit(here, way_of_game, budget) for way_of_game in ways]
+    games = [transport_runs.pursuit(links, way_of_game, budget) for way_of_game in ways]
     values, reference = (
         [run.value for run in runs] for runs in options.measure(games, "", transport_runs.run_of_pursuit)
     )
@@ -213,7 +213,7 @@ def transported(options: Options, /, way: str | None, scale: float = 1.0, **sett
 
 
 def retransmitting_saves(channel: str) -> Number:
-    """Return what measures the active time that retransmitting saves on a channel, against announcing once."""
+    """Return the measurement of the active time that retransmitting saves on a channel, against announcing once."""
     once, again = (coherence_runs.pursuit(channel, way) for way in (transport_runs.ONCE, transport_runs.RELIABLE))
     return difference(active_time, once, again)
 
@@ -221,15 +221,15 @@ def retransmitting_saves(channel: str) -> Number:
 @number
 def age(options: Options, way: str) -> Measured:
     """Measure the age of information of a way to announce with 30 % loss."""
-    here, metric = transport_runs.Setting(), transport_runs.run_at_rest
-    (reliable,) = options.measure([transport_runs.at_rest(here, transport_runs.RELIABLE)], "", metric)
-    game = transport_runs.at_rest(here, way, transport_runs.budget_of(reliable))
+    setting, metric = transport_runs.Setting(), transport_runs.run_at_rest
+    (reliable,) = options.measure([transport_runs.at_rest(setting, transport_runs.RELIABLE)], "", metric)
+    game = transport_runs.at_rest(setting, way, transport_runs.budget_of(reliable))
     (runs,) = options.measure([game], "", metric)
     return of(mean([run.value for run in runs]))
 
 
 def delayed_by(protocol: str, lie: str) -> Number:
-    """Return what measures by how much one liar delays the capture."""
+    """Return the measurement of the time by which one liar delays the capture."""
     lying, honest = (
         liars_runs.scenario_of("lies", protocol, kind_of_lie, "none", 1.0) for kind_of_lie in (lie, liars_runs.HONEST)
     )
@@ -246,7 +246,7 @@ def price(options: Options, defence: str) -> Measured:
 
 
 def of_latency(latency: float, motion: str) -> Number:
-    """Return what measures how much active time a latency costs a body."""
+    """Return the measurement of how much active time a latency costs a body."""
     late, prompt = (bodies_runs.pursuit(bodies_runs.ONE, motion, delay) for delay in (latency, 0.0))
     return difference(active_time, late, prompt)
 
@@ -255,16 +255,16 @@ def of_latency(latency: float, motion: str) -> Number:
 def of_inertia(options: Options, latency: float, motion: str) -> Measured:
     """Measure how much more active time a latency costs a body than one of simple motion."""
     games = [
-        bodies_runs.pursuit(bodies_runs.ONE, kind_of_motion, at)
+        bodies_runs.pursuit(bodies_runs.ONE, kind_of_motion, delay)
         for kind_of_motion in (motion, bodies_runs.SIMPLE)
-        for at in (latency, 0.0)
+        for delay in (latency, 0.0)
     ]
     late, prompt, simple_late, simple_prompt = (np.array(times) for times in options.measure(games, "", active_time))
     return of(paired(late - prompt, simple_late - simple_prompt))
 
 
 def all_at_once(latency: float, motion: str) -> Number:
-    """Return what measures how much more active time a body needs if all decide at once."""
+    """Return the measurement of how much more active time a body needs if all decide at once."""
     at_once, in_turn = (bodies_runs.pursuit(rule, motion, latency) for rule in (bodies_runs.ALL, bodies_runs.ONE))
     return difference(active_time, at_once, in_turn)
 
@@ -278,7 +278,7 @@ def per_handover(options: Options, motion: str, latency: float) -> Measured:
 
 
 def survives(protocol: str) -> Number:
-    """Return what measures how much longer an evader survives that flees the active pursuers only."""
+    """Return the measurement of how much longer an evader survives that flees the active pursuers only."""
     misled, reference = (
         evaders_runs.chase(strategy, protocol) for strategy in (evaders_runs.CLAIMED, evaders_runs.REFERENCE)
     )
@@ -286,19 +286,19 @@ def survives(protocol: str) -> Number:
 
 
 def inferring(interval: float, error: float = 0.0, scale: float = 1.0) -> Number:
-    """Return what measures how much longer an evader survives that infers from motion whom to flee."""
+    """Return the measurement of how much longer an evader survives that infers from motion whom to flee."""
     game = Scenario(protocol="local_min", network=Links(latency=Constant(value=0.1)))
     active = Evader(strategy=PureEvasion(flees_from="active"), motion_interval=interval, motion_error=error)
     return difference(end_time, game.model_copy(update={"evader": active}), game, scale)
 
 
-def watched_saving(made: str) -> Number:
-    """Return what measures the active time that a kind of estimate saves, compared with "hold"."""
-    return difference(active_time, evaders_runs.watched(2.0, evaders_runs.HELD), evaders_runs.watched(2.0, made))
+def watched_saving(kind: str) -> Number:
+    """Return the measurement of the active time that a kind of estimate saves, compared with "hold"."""
+    return difference(active_time, evaders_runs.watched(2.0, evaders_runs.HELD), evaders_runs.watched(2.0, kind))
 
 
 def finds_best(name: str) -> Number:
-    """Return what measures how often four pursuers find the best assignment to four evaders in 1000 slots."""
+    """Return the measurement of how often four pursuers find the best assignment to four evaders in 1000 slots."""
     kind, tau = many_runs.protocol_kind(name), many_runs.cooled(name, 1000)
     game = many_runs.static_game(*many_runs.HARD, kind, 1000, tau)
     return share(is_best, game)
@@ -371,7 +371,7 @@ def leaves_alone(options: Options, protocol: str, timeout: str) -> Measured:
 
 
 def alone_in(scenario: Scenario, seed: int) -> Number:
-    """Return what measures how long the evader is left alone in one run, s."""
+    """Return the measurement of how long the evader is left alone in one run, s."""
     return lambda _: (idle_time(run(scenario, seed)), 0.0)
 
 
@@ -388,7 +388,7 @@ def alone(options: Options, name: str, changes: Mapping[str, Any] = MappingProxy
 
 
 def crash_time(name: str) -> Number:
-    """Return what reads when a pursuer crashes in a scenario that breaks a protocol, s."""
+    """Return the time at which a pursuer crashes in a scenario that breaks a protocol, s."""
     return lambda _: (broken(name).fault[0].start, 0.0)
 
 
@@ -396,7 +396,7 @@ def crash_time(name: str) -> Number:
 def alone_in_relay(options: Options, protocol: str, *, beyond: bool = False) -> Measured:
     """Measure how long the evader is left alone in the smallest scenario of an example, s.
 
-    `beyond`: how much less that is than the property allows, 2 s longer than under `centralised`.
+    With `beyond`, measure instead the margin to what the property allows: 2 s more than under `centralised`.
     """
     changes = {"network.latency": 0.1, "announce.heartbeat": 0.34, "fault": (ChaserCrash(start=4.0),), "horizon": 22.0}
     relay = load(SCENARIOS / "relay.toml").with_(changes)
@@ -407,12 +407,12 @@ def alone_in_relay(options: Options, protocol: str, *, beyond: bool = False) -> 
 
 
 def benchmarked(part: str, protocol: str) -> Number:
-    """Return what reads the score, the quality or the loss of a protocol in the newest version of the benchmark."""
+    """Return the score, the quality or the loss of a protocol in the newest version of the benchmark."""
     return lambda _: (getattr(bench().totals[protocol], part).value, 0.0)
 
 
 def least_and_greatest(part: str, protocols: Sequence[str]) -> tuple[Number, Number]:
-    """Return what reads by how much at least and at most protocols are behind `local_min` in the benchmark."""
+    """Return by how much at least and at most protocols are behind `local_min` in the benchmark."""
 
     def number(choose: Callable[[list[float]], float], options: Options) -> Measured:
         reference, *others = (benchmarked(part, protocol)(options)[0] for protocol in ("local_min", *protocols))
@@ -427,12 +427,12 @@ def runs_of_version(_: Options) -> Measured:
 
 
 def outliers(protocol: str) -> Number:
-    """Return what counts the runs with liars in the benchmark that cost more than 3 s in which all of eight chase."""
+    """Return the count of the runs with liars in the benchmark that cost more than 3 s in which all of eight chase."""
     return lambda _: (int(np.sum(bench().costs["liars"][protocol][AS_IT_IS] > 3.0 * 8)), 0.0)
 
 
 def learning_cost(rule: Rule, latency: float) -> Number:
-    """Return what measures the cost of a rule in the game of `scenarios.learning`, s."""
+    """Return the measurement of the cost of a rule in the game of `scenarios.learning`, s."""
     return average(learning_runs.cost, learning_runs.scenario(rule, latency))
 
 

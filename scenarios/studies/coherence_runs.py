@@ -90,6 +90,6 @@ def measure(options: Options) -> list[Cell]:
 
 
 def _cell(channel: str, way: str, runs: list[Run], reference: list[Run], ages: list[Run]) -> Cell:
-    times, of_reference = (np.array([run.value for run in run_list]) for run_list in (runs, reference))
+    times, reference_times = (np.array([run.value for run in run_list]) for run_list in (runs, reference))
     age = estimate([run.value for run in ages])
-    return Cell(channel, way, estimate(times), estimate(of_reference - times), age, budget_of(runs).bytes)
+    return Cell(channel, way, estimate(times), estimate(reference_times - times), age, budget_of(runs).bytes)

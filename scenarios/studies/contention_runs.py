@@ -160,8 +160,8 @@ def best_heartbeat(size: int) -> float:
     Introduction and Survey"). It is least where e^x (1 - x) = (1 - c^2) / 2 with x = a / h. With Poisson heartbeats,
     c = 1, the best h is a.
     """
-    square = JITTER**2 / 3
-    x = brentq(lambda x: exp(x) * (1 - x) - (1 - square) / 2, 1e-6, 1.0)
+    squared_variation = JITTER**2 / 3
+    x = brentq(lambda x: exp(x) * (1 - x) - (1 - squared_variation) / 2, 1e-6, 1.0)
     return float(2 * (size - 1) * AIRTIME / x)
 
 

@@ -14,7 +14,7 @@ SIZES = (30, 300)
 """The numbers of values that give the targets."""
 FIRST_LOOKS = (3, 30, FIRST_LOOK)
 MOST = 20
-"""The largest number of values of a study, as a multiple of the number that gives its target or of the first look."""
+"""The largest number of values of a study, in multiples of the greater of its size (see `SIZES`) and its first look."""
 Values = NDArray[np.float64] | NDArray[np.bool_]
 
 

@@ -154,9 +154,9 @@ def chase(strategy: str, protocol: str, latency: float = LATENCY) -> Scenario:
     )
 
 
-def watched(radius: float, made: str, latency: float = LATENCY) -> Scenario:
+def watched(radius: float, kind: str, latency: float = LATENCY) -> Scenario:
     """Return one scenario of the second part, given a sensing radius, m, a kind of estimate, and a latency, s."""
-    sensing = WATCHED.sensing.model_copy(update={"radius": radius, "estimate": made})
+    sensing = WATCHED.sensing.model_copy(update={"radius": radius, "estimate": kind})
     return WATCHED.model_copy(update={"sensing": sensing, "network": Links(latency=Constant(value=latency))})
 
 
@@ -183,9 +183,9 @@ def cell(key: tuple[str, str], latency: float, runs: Sequence[Summary], *, refer
 
 def measure_sight(options: Options, latency: float) -> list[Sighted]:
     """Run each estimate at each radius; at infinite radius only "hold", because all estimates are equal there."""
-    keys = [(radius, made) for radius in RADII for made in (ESTIMATES if radius < inf else [HELD])]
-    more = replace(options, runs=MORE * options.runs)
-    runs = more.measure_each(keys, partial(watched, latency=latency), "sight", observe)
+    keys = [(radius, kind) for radius in RADII for kind in (ESTIMATES if radius < inf else [HELD])]
+    with_more_runs = replace(options, runs=MORE * options.runs)
+    runs = with_more_runs.measure_each(keys, partial(watched, latency=latency), "sight", observe)
     return [sighted(*key, runs[key], reference=runs[key[0], HELD]) for key in keys]
 
 
@@ -194,17 +194,17 @@ def observe(result: Result) -> Watched:
     reports = [
         event
         for event in result.trace.of(Sent)
-        if isinstance(event.body, tuple) and any(isinstance(part_of_body, Sighting) for part_of_body in event.body)
+        if isinstance(event.body, tuple) and any(isinstance(part, Sighting) for part in event.body)
     ]
     sensing, period = result.scenario.sensing, result.scenario.record.trajectory
     seen = [_is_seen(sample, sensing.radius) for sample in result.trace.of(Sampled)]
-    since = seen[seen.index(True) :] if any(seen) else []
-    longest = max((len(list(part)) for here, part in groupby(since) if not here), default=0)
+    from_first_sight = seen[seen.index(True) :] if any(seen) else []
+    longest = max((len(list(samples)) for is_seen, samples in groupby(from_first_sight) if not is_seen), default=0)
     return Watched(
         captured(result),
         end_time(result),
         active_time(result),
-        not since,
+        not from_first_sight,
         longest * period > sensing.track_timeout,
         len(reports),
         len({event.transmission for event in reports}),
@@ -217,13 +217,13 @@ def _is_seen(sample: Sampled, radius: float) -> bool:
     return bool(np.hypot(gaps[:, 0], gaps[:, 1]).min() <= radius)
 
 
-def sighted(radius: float, made: str, runs: Sequence[Watched], *, reference: Sequence[Watched]) -> Sighted:
+def sighted(radius: float, kind: str, runs: Sequence[Watched], *, reference: Sequence[Watched]) -> Sighted:
     """Return the results of one radius and one estimate, and the differences from "hold" with equal seeds."""
     times, active = [run.survival for run in runs], [run.active_time for run in runs]
     count, duration = len(runs), portable_sum(times)
     return Sighted(
         radius,
-        made,
+        kind,
         share([run.captured for run in runs]),
         estimate(times),
         paired(times, [run.survival for run in reference]),

@@ -120,11 +120,11 @@ RIVALS: Mapping[str, Rule] = MappingProxyType(
 
 
 class Notebook:
-    """The results of a study so far, in a file: what is there is not computed again.
+    """The results of a study so far, in a file; a result in the file is not computed again.
 
     Args:
         path: the file.
-        identity: what the results depend on; those of another identity are dropped.
+        identity: a hash of all that the results depend on; results of another identity are dropped.
     """
 
     def __init__(self, path: Path, identity: str):
@@ -138,7 +138,7 @@ class Notebook:
             self._content = content
 
     def remember(self, key: str, compute: Callable[[], Any]) -> Any:
-        """Return the result of a key, computed and written if it is not there yet."""
+        """Return the result of a key; compute and write it if the file does not have it."""
         if key not in self._content:
             self._content[key] = to_json(compute())
             self._path.parent.mkdir(parents=True, exist_ok=True)
@@ -157,9 +157,9 @@ def notebook(options: Options) -> Notebook:
 def train(options: Options, notes: Notebook, latency: float) -> list[Generation]:
     """Return the generations of a training by the cross-entropy method (Rubinstein 1999) at a latency, s.
 
-    The candidates of a generation are normal draws, all are run with the same seeds, and the next ones are drawn around
-    the mean of the best. Seeds are not used again, and none is among those of the comparison. Trainings at several
-    latencies have the same draws and seeds.
+    The candidates of a generation are normal draws around the mean of the best candidates of the generation before. All
+    candidates of a generation are run with the same seeds, which no other generation and no comparison uses. Trainings
+    at several latencies have the same draws and seeds.
     """
     scales, generations = np.array(SCALES), list[Generation]()
     mean, deviation = np.zeros(len(SCALES)), scales
@@ -204,8 +204,8 @@ def costs_table(cells: Sequence[Cell], runs: int) -> str:
     rules, latencies = list(dict.fromkeys(cell.rule for cell in cells)), sorted({cell.latency for cell in cells})
     rows: list[tuple[str, ...]] = [("rule", *(f"L = {latency:g} s" for latency in latencies))]
     for rule in rules:
-        here = {cell.latency: cell for cell in cells if cell.rule == rule}
-        rows.append((rule, *(f"{here[l].cost:.2f} +- {here[l].standard_error:.2f}" for l in latencies)))  # noqa: E741
+        line = sorted((cell for cell in cells if cell.rule == rule), key=lambda cell: cell.latency)
+        rows.append((rule, *(f"{cell.cost:.2f} +- {cell.standard_error:.2f}" for cell in line)))
     return f"Active time + 3 x idle time, s, {runs} runs of equal seeds, with standard errors\n{aligned(rows)}"
 
 

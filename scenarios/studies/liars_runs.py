@@ -98,13 +98,13 @@ def pursuit(
     model, parameters = LIES[lie]
     faults: list[Any] = [model(node=node, start=0.0, **parameters) for node in range(liars if lie != HONEST else 0)]
     faults += [ClockSkew(offset=offset)] if offset else []
-    late = Links(latency=Lognormal(mean=latency, cv=0.5), loss=Bernoulli(p=LOSSES)) if latency else Links()
+    network = Links(latency=Lognormal(mean=latency, cv=0.5), loss=Bernoulli(p=LOSSES)) if latency else Links()
     return Scenario(
         name="liars",
         team=Team(count=N, speeds=1.5, active_at_start=0.0),
         protocol=PROTOCOLS[protocol],
         announce=Announcements(payload="time", heartbeat=0.2, trust=DEFENCES[defence], start="silent"),
-        network=late,
+        network=network,
         fault=tuple(faults),
         record=Recording(trajectory=0.0),
     )

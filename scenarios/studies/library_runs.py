@@ -1,4 +1,4 @@
-"""The game, the reward and the comparison of the studies that train with libraries of others.
+"""The game, the reward and the comparison of the studies that train with external libraries.
 
 The game is that of `scenarios.learning`, in rounds: eight pursuers, all active, that know nothing of each other at the
 start. Its schedule is `rounds`, because these libraries let all agents act at once.
@@ -45,10 +45,10 @@ RIVALS: Mapping[str, Rule] = MappingProxyType(
 """The rules with which a learned one is compared, with the same schedule."""
 
 LATELY = 50
-"""The episodes over which the cost in training is averaged."""
+"""The number of episodes over which the cost in training is averaged."""
 
 FRESH = 7
-"""Added to the root seed of a study for that of the comparison. Trainings begin with the root seed, or the next one."""
+"""Added to the root seed of a study, gives that of the comparison. Trainings begin with the root seed, or the next."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Progress:
 
 
 def game() -> Scenario:
-    """Return the game in which is trained, at a latency of 0.1 s."""
+    """Return the game of the trainings, at a latency of 0.1 s."""
     return scenario(RIVALS["local_min"], LATENCY)
 
 
@@ -90,8 +90,8 @@ def exported(
     Args:
         names: the names of the n inputs.
         layers: the weights and the bias of each layer, as those of `torch.nn.Linear`.
-        mean: (n,) what was subtracted from the inputs.
-        deviation: (n,) that by which they were divided then.
+        mean: (n,) the numbers that were subtracted from the inputs.
+        deviation: (n,) the numbers by which the differences were divided.
     """
     (weights, bias), *others = ((np.asarray(w, dtype=float), np.asarray(b, dtype=float)) for w, b in layers)
     weights = weights / np.asarray(deviation, dtype=float)
@@ -102,10 +102,10 @@ def exported(
 
 def require(*packages: str) -> None:
     """Raise `click.ClickException` if packages cannot be imported; the message has the command that installs them."""
-    lacking = [package for package in packages if find_spec(package) is None]
-    if lacking:
+    missing = [package for package in packages if find_spec(package) is None]
+    if missing:
         names = " ".join(package.replace("_", "-") for package in packages)
-        raise click.ClickException(f"{lacking[0]} is missing: pip install {names}")
+        raise click.ClickException(f"{missing[0]} is missing: pip install {names}")
 
 
 def show(options: Options, name: str, rule: Policy, curve: Sequence[Progress]) -> None:
@@ -117,7 +117,7 @@ def show(options: Options, name: str, rule: Policy, curve: Sequence[Progress]) -
     fresh = replace(options, seed=options.seed + FRESH)
     costs = fresh.measure([scenario(rules[label], latency) for label, latency in grid], "comparison", cost)
     cells = [
-        Cell(*place, mean.mean, mean.standard_error) for place, mean in zip(grid, map(estimate, costs), strict=True)
+        Cell(*setting, mean.mean, mean.standard_error) for setting, mean in zip(grid, map(estimate, costs), strict=True)
     ]
     rows = [("steps of pursuers", "cost in training"), *((f"{p.steps:,}", f"{p.cost:.2f} s") for p in curve)]
     options.show(

@@ -175,9 +175,9 @@ def _game(pursuers: int, evaders: int, kind: str, negotiation: Any, motion: Moti
 
 def capture_times(scenario: Scenario, seed: int) -> Floats:
     """Return the (N, M) capture times phi, s, at t = 0."""
-    at, speeds = scenario.team.start(seed), scenario.team.all_speeds()
+    places, speeds = scenario.team.start(seed), scenario.team.all_speeds()
     columns = [
-        capture_time(evader.start(seed, index), at, speeds, evader.speed, scenario.capture.radius)
+        capture_time(evader.start(seed, index), places, speeds, evader.speed, scenario.capture.radius)
         for index, evader in enumerate(scenario.evaders)
     ]
     return np.column_stack(columns)
@@ -208,8 +208,8 @@ def run_static_games(options: Options) -> list[NegotiationSummary]:
     by_size: list[Key] = [(size, name, BUDGET, None) for size in SIZES for name in CONTENDERS]
     hard: list[Key] = [(HARD, name, slots, None) for slots in BUDGETS for name in COOLED]
     hard += [(HARD, kind, BUDGET, tau) for tau in TEMPERATURES for kind in ("sap", "selective_sap")]
-    more = replace(options, runs=GAMES_PER_RUN * options.runs)
-    return run_negotiations(by_size, options) + run_negotiations(hard, more)
+    with_more_runs = replace(options, runs=GAMES_PER_RUN * options.runs)
+    return run_negotiations(by_size, options) + run_negotiations(hard, with_more_runs)
 
 
 def run_negotiations(keys: Sequence[Key], options: Options) -> list[NegotiationSummary]:

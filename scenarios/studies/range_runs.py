@@ -75,12 +75,12 @@ class Pursuits:
 
 def scenario(team: str, range: float, protocol: str) -> Scenario:  # noqa: A002
     """Return the scenario of Lee & Bakolas with a team, a communication range (m) and a protocol of this study."""
-    chosen, dissemination = PROTOCOLS[protocol]
+    model, dissemination = PROTOCOLS[protocol]
     settings = {} if dissemination is None else {"dissemination": dissemination}
     return Scenario(
         name=f"{protocol}, R = {range:g} m",
         team=TEAMS[team],
-        protocol=chosen,
+        protocol=model,
         announce=Announcements(heartbeat=HEARTBEAT, **settings),
         network=Links(range=range, latency=Constant(value=0.005)),
     )
@@ -88,9 +88,9 @@ def scenario(team: str, range: float, protocol: str) -> Scenario:  # noqa: A002
 
 def game(base: Scenario, seed: int) -> tuple[list[float], list[list[int]], "nx.DiGraph[int]"]:
     """Return the game at t = 0: (N,) capture times, s; the pursuers that each pursuer hears; and the graph of links."""
-    at, evader = base.team.start(seed), base.evaders[0].start(seed)
-    phi = capture_time(evader, at, base.team.all_speeds(), base.evaders[0].speed, base.capture.radius).tolist()
-    graph = Topology(base.network.graph(N), base.network.range, lambda: at).graph()
+    places, evader = base.team.start(seed), base.evaders[0].start(seed)
+    phi = capture_time(evader, places, base.team.all_speeds(), base.evaders[0].speed, base.capture.radius).tolist()
+    graph = Topology(base.network.graph(N), base.network.range, lambda: places).graph()
     return phi, [list(graph.predecessors(i)) for i in sorted(graph)], graph
 
 

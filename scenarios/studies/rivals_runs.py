@@ -36,10 +36,8 @@ often. In "paper, unseen" the positions of teammates are not sensed but announce
 SILENT = "nobody talks"
 """Name of the team without announcements, in tables and figures."""
 REFERENCE = "sap"
-
-
 LEARNED = "policy"
-"""The protocol that is what its weights make of it; without any it is `local_min`."""
+"""The protocol that is left out, because it depends on its weights; the default ones make it `local_min`."""
 
 
 @dataclass(frozen=True)

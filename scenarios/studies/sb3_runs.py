@@ -57,8 +57,8 @@ class TeamVecEnv(VecEnv):
         if not self.env.agents:
             self.costs.append(self._cost)
             self._cost = 0.0
-            for info, (name, last) in zip(infos, observations.items(), strict=True):
-                info |= {"terminal_observation": last[self._columns], "TimeLimit.truncated": truncations[name]}
+            for info, (name, observation) in zip(infos, observations.items(), strict=True):
+                info |= {"terminal_observation": observation[self._columns], "TimeLimit.truncated": truncations[name]}
             observations, self._infos = self.env.reset()
         dones = [terminations[name] or truncations[name] for name in rewards]
         return self._stacked(observations), np.array([*rewards.values()], np.float32), np.array(dones), infos
@@ -126,7 +126,7 @@ def train(seed: int, steps: int) -> tuple[Policy, Sequence[Progress]]:
     model = MaskablePPO(
         "MlpPolicy",
         envs,
-        learning_rate=lambda left: 1e-3 * left,
+        learning_rate=lambda remaining: 1e-3 * remaining,
         n_steps=1024,
         batch_size=512,
         ent_coef=0.001,
@@ -138,5 +138,5 @@ def train(seed: int, steps: int) -> tuple[Policy, Sequence[Progress]]:
     model.learn(steps, callback=curve)
     linear = [*model.policy.mlp_extractor.policy_net, model.policy.action_net]
     layers = [(m.weight.detach().numpy(), m.bias.detach().numpy()) for m in linear if isinstance(m, torch.nn.Linear)]
-    normal = envs.obs_rms
-    return exported(features, layers, normal.mean, np.sqrt(normal.var + envs.epsilon)), curve.progress
+    of_inputs = envs.obs_rms  # their running mean and variance
+    return exported(features, layers, of_inputs.mean, np.sqrt(of_inputs.var + envs.epsilon)), curve.progress

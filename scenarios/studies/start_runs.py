@@ -69,6 +69,7 @@ class Extra:
     """L lambda."""
     difference: Estimate
     expected: float
+    """In theory, (1 - 1 / N) L lambda."""
 
 
 @dataclass(frozen=True)

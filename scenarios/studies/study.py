@@ -38,7 +38,7 @@ class Options:
     seed: int
     out: Path
     as_json: bool
-    own: Mapping[str, Any] = field(default_factory=dict)
+    extra: Mapping[str, Any] = field(default_factory=dict)
     """Options that only this study has, by name."""
 
     def measure(
@@ -62,8 +62,8 @@ class Options:
 
         `scenario` returns the scenario of a key, given its entries as arguments.
         """
-        listed = list(keys)
-        return dict(zip(listed, self.measure([scenario(*key) for key in listed], label, metric), strict=True))
+        keys = list(keys)
+        return dict(zip(keys, self.measure([scenario(*key) for key in keys], label, metric), strict=True))
 
     def show(self, document: dict[str, Any], table: str, figure: Callable[[], "Figure"] | None = None) -> None:
         """Print the table, or the document as JSON if requested; write both, and any figure, to the folder `out`.
@@ -72,8 +72,8 @@ class Options:
         NAME.run.json, where NAME is the name of the study, records the provenance of these files. Studies can share a
         folder, because the names of all files of a study begin with NAME.
         """
-        whole = {"study": self.name, "runs": self.runs, "seed": self.seed} | document
-        text = json.dumps(to_json(whole), indent=2, allow_nan=False, default=_in_json_types)
+        document = {"study": self.name, "runs": self.runs, "seed": self.seed} | document
+        text = json.dumps(to_json(document), indent=2, allow_nan=False, default=_in_json_types)
         click.echo(text if self.as_json else table)
         self.out.mkdir(parents=True, exist_ok=True)
         stem = self.out / self.name
@@ -140,9 +140,9 @@ def study(
         name: name of the study.
         doc: help text of the command.
         runs: default number of runs per cell, which is one combination of settings.
-        options: options that only this study has; see `Options.own`.
-        seconds: CPU time of one run of each cell, s, from which the expected time follows that is printed first;
-            None: nothing is printed.
+        options: options that only this study has; see `Options.extra`.
+        seconds: CPU time of one run of each cell, s, from which the command computes the expected time that it prints
+            first; None: it prints none.
         once: CPU time of what does not depend on the number of runs, s.
     """
 

@@ -37,7 +37,7 @@ WAYS = (ONCE, RELIABLE, BACKOFF, HEARTBEATS, CODED)
 repeated by heartbeats; or repeated so many times, `SPACING` apart. The last two have the bytes of `RELIABLE`."""
 SPACING = 0.05
 """Time between two copies of a change of action, s."""
-EQUAL = (HEARTBEATS, CODED)
+WITH_EQUAL_BYTES = (HEARTBEATS, CODED)
 """The ways whose parameters follow from the bytes of `RELIABLE`."""
 REFERENCE = HEARTBEATS
 """The way with which the others are compared."""
@@ -135,28 +135,28 @@ def pursuit(setting: Setting, way: str, budget: Budget | None = None) -> Scenari
         period = N * SIZE / (budget.bytes - SIZE * budget.announcements)
         return _scenario(setting, Announcements(start=setting.start, heartbeat=period, jitter=JITTER))
     copies = round(budget.bytes / (budget.announcements * COPY)) if budget is not None else 1
-    spread = dissemination(setting, way, copies, SPACING)
-    return _scenario(setting, Announcements(trigger="change", start=setting.start, dissemination=spread))
+    spreading = dissemination(setting, way, copies, SPACING)
+    return _scenario(setting, Announcements(trigger="change", start=setting.start, dissemination=spreading))
 
 
 def at_rest(setting: Setting, way: str, budget: Budget | None = None) -> Scenario:
     """Return a game at rest, in which each pursuer announces its action periodically; see `pursuit`."""
-    period, spread = PERIOD, "one_hop"
+    period, spreading = PERIOD, "one_hop"
     if way == HEARTBEATS:
         assert budget is not None
         period = N_REST * SIZE / (budget.bytes - SIZE * budget.announcements)
     else:
         copies = round(budget.bytes / ((budget.announcements + N_REST / PERIOD) * COPY)) if budget is not None else 1
-        spread = dissemination(setting, way, copies, PERIOD / max(copies, 1))
+        spreading = dissemination(setting, way, copies, PERIOD / max(copies, 1))
     announce = Announcements(
-        trigger="heartbeat", start=setting.start, heartbeat=period, jitter=JITTER, dissemination=spread
+        trigger="heartbeat", start=setting.start, heartbeat=period, jitter=JITTER, dissemination=spreading
     )
     record = Recording(trajectory=0.0, messages=True)
     return _scenario(setting, announce, N_REST, motion=Motion(static=True), horizon=REST, record=record)
 
 
 def dissemination(setting: Setting, way: str, copies: int, spacing: float) -> Any:
-    """Return the dissemination of a way to announce; of `CODED` with so many copies, `spacing` s apart."""
+    """Return the dissemination of a way to announce; `CODED` sends `copies`, `spacing` s apart."""
     if way == CODED:
         return CodedOneHop(pieces=min(max(copies, 1), 255), spacing=spacing)
     backoff = 2.0 if way == BACKOFF else 1.0
@@ -178,14 +178,18 @@ def _scenario(setting: Setting, announce: Announcements, size: int = N, **more: 
 def measure(options: Options) -> list[Cell]:
     """Run each way to announce in each setting."""
     settings = {(name, value): Setting(**{name: value}) for name, values in SWEEPS.items() for value in values}
-    pursued = with_equal_bytes(options, settings.values(), WAYS, pursuit, "pursuits", run_of_pursuit)
-    resting = [setting for (name, _), setting in settings.items() if name in WITH_AGES]
-    rested = with_equal_bytes(options, resting, WAYS, at_rest, "ages", run_at_rest)
+    pursuits = with_equal_bytes(options, settings.values(), WAYS, pursuit, "pursuits", run_of_pursuit)
+    with_ages = [setting for (name, _), setting in settings.items() if name in WITH_AGES]
+    rests = with_equal_bytes(options, with_ages, WAYS, at_rest, "ages", run_at_rest)
     return [
         _cell(
-            *key, way, pursued[here, way], pursued[here, REFERENCE], rested[here, way] if key[0] in WITH_AGES else None
+            *key,
+            way,
+            pursuits[setting, way],
+            pursuits[setting, REFERENCE],
+            rests[setting, way] if key[0] in WITH_AGES else None,
         )
-        for key, here in settings.items()
+        for key, setting in settings.items()
         for way in WAYS
     ]
 
@@ -194,33 +198,35 @@ def _cell(
     name: str, value: float, way: str, runs: Sequence[Run], reference: Sequence[Run], ages: Sequence[Run] | None
 ) -> Cell:
     """Return the results of one way in one setting, given its runs, those of `REFERENCE` and those at rest."""
-    times, of_reference = (np.array([run.value for run in run_list]) for run_list in (runs, reference))
+    times, reference_times = (np.array([run.value for run in run_list]) for run_list in (runs, reference))
     caught = portable_sum(run.captured for run in runs) / len(runs)
     age, rate = (estimate([run.value for run in ages]), budget_of(ages).bytes) if ages else (None, None)
     return Cell(
-        name, value, way, estimate(times), estimate(times - of_reference), caught, budget_of(runs).bytes, age, rate
+        name, value, way, estimate(times), estimate(times - reference_times), caught, budget_of(runs).bytes, age, rate
     )
 
 
 def with_equal_bytes(
     options: Options,
-    places: Iterable[Any],
+    conditions: Iterable[Any],
     ways: Sequence[str],
     make: Callable[..., Scenario],
     label: str,
     metric: Callable[[Result], Run],
 ) -> dict[tuple[Any, str], list[Run]]:
-    """Run each way at each place, such as a setting; those of `EQUAL` have the bytes that `RELIABLE` takes there."""
-    places = dict.fromkeys(places)
-    first = [(place, way) for place in places for way in ways if way not in EQUAL]
-    runs = options.measure_each(first, make, label, metric)
-    equal = [(place, way, budget_of(runs[place, RELIABLE])) for place in places for way in EQUAL]
-    measured = options.measure_each(equal, make, f"{label}, equal bytes", metric)
-    return runs | {(place, way): of_key for (place, way, _), of_key in measured.items()}
+    """Run each way under each condition, such as a setting; those of `WITH_EQUAL_BYTES` get the bytes of `RELIABLE`."""
+    conditions = dict.fromkeys(conditions)
+    own_bytes = [(condition, way) for condition in conditions for way in ways if way not in WITH_EQUAL_BYTES]
+    runs = options.measure_each(own_bytes, make, label, metric)
+    equal_bytes = [
+        (condition, way, budget_of(runs[condition, RELIABLE])) for condition in conditions for way in WITH_EQUAL_BYTES
+    ]
+    measured = options.measure_each(equal_bytes, make, f"{label}, equal bytes", metric)
+    return runs | {(condition, way): runs_of_key for (condition, way, _), runs_of_key in measured.items()}
 
 
 def budget_of(runs: Sequence[Run]) -> Budget:
-    """Return what some runs took per second."""
+    """Return the bytes and announcements per second of some runs."""
     duration = portable_sum(run.duration for run in runs)
     sent = portable_sum(run.bytes for run in runs)
     announcements = portable_sum(run.announcements for run in runs)
