@@ -7,11 +7,13 @@ uses one Timeout per delivery; simpy-drawn-at-once does so, too, but draws all l
 simpy-documented uses a store per node and a process per message. All of these must end with the same tables of received
 numbers. The other simulators are installed or built in a temporary folder: ns-3 and SimGrid in C++ (from Debian
 packages that are unpacked, not installed; no root needed), Mesa, GrADyS-SIM and mango. Each of them must make the right
-number of deliveries; mango runs a tenth of the turns only. `--runs` is the number of laps. Every way runs once in each
-lap; a way that takes more than 5 s in the first lap is left out of the others. A rate is the number of deliveries per
-second of CPU time, the median over the laps. Then the costs of large teams, losses on arrival, whole runs, recording,
-start-up, replays and live runs are measured, in time, memory and size. Some costs have an upper limit; the table marks
-a cost above its limit.
+number of deliveries; mango runs a tenth of the turns only.
+
+`--runs` is the number of laps. Every way runs once in each lap; a way that takes more than 5 s in the first lap is left
+out of the later ones. A rate is the number of deliveries in a lap divided by the median CPU time of the laps.
+
+Then the costs of large teams, losses on arrival, whole runs, recording, start-up, replays and live runs are measured,
+in time, memory and size. Some costs have an upper limit; the table marks a cost above its limit.
 """
 
 from collections.abc import Mapping, Sequence
@@ -44,8 +46,8 @@ def table(rates: Sequence[Rate], missing: Mapping[str, str], laps: int) -> str:
     for way in ways:
         speeds.append([way, *(_quotient(speed.get((work, way)), 1e3, 0) for work in works)])
         if way not in DESIM_WAYS:
-            line = [(speed.get((work, ours)), speed.get((work, way))) for work in works for ours in DESIM_WAYS]
-            ratios.append([way, *(_quotient(speed, other, 2) if other else "-" for speed, other in line)])
+            pairs = [(speed.get((work, ours)), speed.get((work, way))) for work in works for ours in DESIM_WAYS]
+            ratios.append([way, *(_quotient(of_desim, other, 2) if other else "-" for of_desim, other in pairs)])
     return "\n".join(
         [
             f"Thousand deliveries per second of CPU time, medians of {laps} laps",
@@ -70,9 +72,9 @@ def picture(rates: Sequence[Rate]) -> "Figure":
     columns = min(2, len(works))
     rows = -(-len(works) // columns)
     ranked = sorted(rates, key=lambda rate: rate.per_second)
-    here = [[rate for rate in ranked if rate.workload == work] for work in works]
-    with plots.styled(figsize=(4.6 * columns, 0.6 + rows * (0.5 + 0.19 * max(map(len, here))))) as figure:
-        for axes, work, bars in zip(figure.subplots(rows, columns, squeeze=False).flat, works, here, strict=False):
+    panels = [[rate for rate in ranked if rate.workload == work] for work in works]
+    with plots.styled(figsize=(4.6 * columns, 0.6 + rows * (0.5 + 0.19 * max(map(len, panels))))) as figure:
+        for axes, work, bars in zip(figure.subplots(rows, columns, squeeze=False).flat, works, panels, strict=False):
             speeds = [rate.per_second for rate in bars]
             colours = [palette.SERIES[0] if rate.way in DESIM_WAYS else palette.GREY for rate in bars]
             drawn = axes.barh([rate.way for rate in bars], speeds, color=colours, height=0.7)
@@ -124,8 +126,8 @@ def main(options: Options) -> None:
         rates, missing = measure(options, works, ways)
         document |= {BROADCASTS: [asdict(rate) for rate in rates], "missing": missing}
         tables.append(table(rates, missing, options.runs))
-    asked = [name for name in costs.PARTS if name in choices["parts"]]
-    costs_of = {name: costs.PARTS[name](options) for name in tqdm(asked, desc="costs", unit="part", disable=None)}
+    parts = [name for name in costs.PARTS if name in choices["parts"]]
+    costs_of = {name: costs.PARTS[name](options) for name in tqdm(parts, desc="costs", unit="part", disable=None)}
     if costs_of:
         document["costs"] = {name: [asdict(cost) for cost in part] for name, part in costs_of.items()}
         tables.append(measuring.table(costs_of))

@@ -19,12 +19,12 @@ TIMEOUT = 30.0
 
 
 class Page:
-    """A page of a browser, and all that it logged, threw or asked for since it was opened."""
+    """A page of a browser, with its warnings, errors and requests since it was opened."""
 
     def __init__(self, commands: int, answers: int, session: int = 0):
         self.session = session
         """The session of the processes of the browser; see `cpu_time`."""
-        self.commands, self.answers, self._rest, self._number = commands, answers, b"", 0
+        self.commands, self.answers, self._unread, self._number = commands, answers, b"", 0
         self._session: str | None = None
         self.errors: list[Any] = []
         self.requests: list[str] = []
@@ -47,14 +47,14 @@ class Page:
                 return answer["result"]
 
     def _next(self) -> dict[str, Any]:
-        """Return the next answer or event, having logged errors and requests."""
+        """Return the next answer or event; keep errors and requests."""
         until = time.monotonic() + TIMEOUT
-        while b"\0" not in self._rest:
+        while b"\0" not in self._unread:
             ready, _, _ = select.select([self.answers], [], [], max(until - time.monotonic(), 0.0))
             chunk = os.read(self.answers, 1 << 20) if ready else b""
             assert chunk, "the browser does not answer"
-            self._rest += chunk
-        line, _, self._rest = self._rest.partition(b"\0")
+            self._unread += chunk
+        line, _, self._unread = self._unread.partition(b"\0")
         message: dict[str, Any] = json.loads(line)
         method, params = message.get("method"), message.get("params", {})
         if method == "Runtime.exceptionThrown":
@@ -94,7 +94,7 @@ class Page:
         self.until("document.readyState === 'complete'")
 
     def resize(self, width: int, height: int, theme: str = "light", motion: str = "reduce") -> None:
-        """Give the window a size (px), and the system a theme and a wish for motion: with "reduce", replays wait."""
+        """Set the size of the window (px), and the preferred theme and motion; with "reduce", replays wait."""
         self.send(
             "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600
         )
@@ -104,7 +104,7 @@ class Page:
         )
 
     def value(self, expression: str) -> Any:
-        """Return what an expression of JavaScript comes to, awaited if it is a promise."""
+        """Return the value of an expression of JavaScript; a promise is awaited."""
         answer = self.send("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
@@ -117,7 +117,7 @@ class Page:
             time.sleep(0.02)
 
     def press(self, key: str, text: str = "") -> None:
-        """Press a key and let it go; with its text, as it is typed, it also presses the button that has the focus."""
+        """Press a key and release it; with the text that it types, it also presses the button that has the focus."""
         code = {"windowsVirtualKeyCode": ord(text)} if text else {}
         self.send("Input.dispatchKeyEvent", type="keyDown", key=key, text=text, **code)
         self.send("Input.dispatchKeyEvent", type="keyUp", key=key, **code)
@@ -125,12 +125,12 @@ class Page:
 
 @contextmanager
 def page() -> Iterator[Page]:
-    """Yield a page of a browser of its own, of which nothing is left."""
+    """Yield a page of a browser of its own; afterwards end the browser and delete its folder."""
     to_browser, commands = os.pipe()
     answers, from_browser = os.pipe()
 
     def at_3_and_4() -> None:  # where the browser looks for its pipes
-        high = os.dup(to_browser), os.dup(from_browser)
+        high = os.dup(to_browser), os.dup(from_browser)  # copies, in case one of the two already is 3 or 4
         os.dup2(high[0], 3)
         os.dup2(high[1], 4)
 

@@ -70,7 +70,7 @@ STARTS = 9
 """Number of times that each command is started."""
 MEGABYTE = 1e6
 MEASURED = ("relay", "recorded", "reliable")
-"""The scenarios of which the metrics of a run are measured, too."""
+"""The scenarios for which the time of all metrics of a run is measured, too."""
 
 
 # Large teams.
@@ -91,11 +91,12 @@ class Drifting(PositionSource):
 
     def of(self, nodes: NDArray[np.intp]) -> Floats:
         """Return the (k, 2) positions of some nodes, m."""
-        there = self._from.take(nodes, axis=0), self._velocity.take(nodes, axis=0)
-        return self._reflected(there[0] + there[1] * seconds(self._env.now))
+        start, velocity = self._from.take(nodes, axis=0), self._velocity.take(nodes, axis=0)
+        return self._reflected(start + velocity * seconds(self._env.now))
 
-    def _reflected(self, at: Floats) -> Floats:
-        return self._side - np.abs(at % (2.0 * self._side) - self._side)
+    def _reflected(self, unfolded: Floats) -> Floats:
+        """Return the positions in the square of nodes that would be at `unfolded` if it had no sides."""
+        return self._side - np.abs(unfolded % (2.0 * self._side) - self._side)
 
 
 def disk(size: int, seed: int) -> tuple[float, float]:
@@ -190,35 +191,35 @@ def losses(options: Options) -> list[Cost]:
 
 def with_losses_on_arrival() -> Mapping[str, tuple[Workload, Workload]]:
     """Return pairs of workloads, by a description: one with losses that are decided on arrival, and one without."""
-    slow, random = Links(latency=Constant(value=0.015)), Links(latency=LOGNORMAL)
+    constant, random = Links(latency=Constant(value=0.015)), Links(latency=LOGNORMAL)
     radio = Bitrate(bitrate=1e6)
     pairs: dict[str, tuple[Workload, Workload]] = {}
-    for name, links in {"constant latency": slow, "lognormal latency": random}.items():
+    for name, links in {"constant latency": constant, "lognormal latency": random}.items():
         work = Workload(name, nx.complete_graph(40), 2_000, LOGNORMAL, links)
         moving = replace(work, speed=1.0, links=links.model_copy(update={"range": 10.0}))
         assert moving.links is not None
-        late = replace(moving, links=moving.links.model_copy(update={"range_check": "delivery"}))
-        one_way = links.model_copy(update={"medium": radio.model_copy(update={"half_duplex": True})})
-        duplex = replace(work, links=links.model_copy(update={"medium": radio}))
+        at_delivery = replace(moving, links=moving.links.model_copy(update={"range_check": "delivery"}))
+        half_duplex = links.model_copy(update={"medium": radio.model_copy(update={"half_duplex": True})})
+        full_duplex = replace(work, links=links.model_copy(update={"medium": radio}))
         pairs |= {
             f"a crash plan, {name}": (replace(work, faults=(Crash(node=3, start=0.5, end=1.0),)), work),
-            f"range checked at delivery, {name}": (late, moving),
-            f"half duplex, {name}": (replace(work, links=one_way), duplex),
+            f"range checked at delivery, {name}": (at_delivery, moving),
+            f"half duplex, {name}": (replace(work, links=half_duplex), full_duplex),
         }
     return pairs
 
 
 def published(work: Workload, seed: int) -> int:
     """Run a workload with `publish`; return the number of messages sent."""
-    ready = Publish(replace(work, seed=seed))
-    ready.run()
-    return ready.network.message_counts().sent
+    way = Publish(replace(work, seed=seed))
+    way.run()
+    return way.network.message_counts().sent
 
 
 def arrivals(options: Options) -> list[Cost]:
     """Measure the cost of a message whose loss is decided on arrival, relative to one whose arrival is certain."""
     pairs = with_losses_on_arrival()
-    variants = {f"{name}, {k}": partial(published, work) for name, both in pairs.items() for k, work in enumerate(both)}
+    variants = {f"{name}, {k}": partial(published, work) for name, pair in pairs.items() for k, work in enumerate(pair)}
     took = per_unit(variants, range(options.seed, options.seed + options.runs))
     return [Cost(f"{name} / without", took[f"{name}, 0"] / took[f"{name}, 1"], "", 3.3) for name in pairs]
 
@@ -240,9 +241,9 @@ def crowd(work: Workload, seed: int) -> tuple[Floats, list[float]]:
 def contended(work: Workload, seed: int) -> tuple[int, int]:
     """Let nodes contend by CSMA/CA with the capture effect in desim; return the messages sent and delivered."""
     clock, medium = Clock(), Bitrate(bitrate=8 * 24 / AIRTIME, access=CsmaCa(), reception=CaptureEffect())
-    at, times = crowd(work, seed)
+    places, times = crowd(work, seed)
     links = Links(latency=work.latency, medium=medium)
-    network = Network(clock, work.graph, links, seed=seed, positions=lambda: at)
+    network = Network(clock, work.graph, links, seed=seed, positions=lambda: places)
 
     def turns() -> Generator[simpy.Event, Any, None]:
         for number, when in enumerate(times):
@@ -258,10 +259,10 @@ def contended(work: Workload, seed: int) -> tuple[int, int]:
 
 
 def contended_in_simpy(work: Workload, seed: int) -> tuple[int, int]:
-    """Do the same in plain SimPy, but for reading the tables; return the messages sent and delivered."""
-    plain = Contention(*crowd(work, seed), AIRTIME, CsmaCa(), CaptureEffect(), LOGNORMAL, seed=seed)
-    plain.run()
-    return plain.sent, plain.delivered
+    """Do the same in plain SimPy, without reading the tables; return the messages sent and delivered."""
+    channel = Contention(*crowd(work, seed), AIRTIME, CsmaCa(), CaptureEffect(), LOGNORMAL, seed=seed)
+    channel.run()
+    return channel.sent, channel.delivered
 
 
 def contention(options: Options) -> list[Cost]:
@@ -352,21 +353,21 @@ def loop(options: Options) -> list[Cost]:
 # Shipped scenarios.
 
 
-DEAREST = 5.0
-"""Most CPU time of a run of a shipped scenario, relative to `relay.toml`."""
-TARGETS = MappingProxyType(
+USUAL_LIMIT = 5.0
+"""Most CPU time of a run of a shipped scenario, relative to `relay.toml`, if it has no limit of its own."""
+LIMITS = MappingProxyType(
     {
         **{"noisy": 6.0, "radio": 6.0, "voronoi": 4.0, "flooding": 3.5},
         **{"inertia": 3.0, "recorded": 2.5, "server": 2.0},
     }
 )
-"""Lower or higher limits of some scenarios; docs/explanation/performance.md says why some cost more than `DEAREST`."""
+"""The limits of some scenarios; docs/explanation/performance.md says why some cost more than `USUAL_LIMIT`."""
 
 
 def examples(options: Options) -> list[Cost]:
-    """Measure the CPU time of a run of each shipped scenario, relative to `relay.toml`; each has its own seed.
+    """Measure the CPU time of a run of each shipped scenario, with the seed of its file, relative to `relay.toml`.
 
-    The time of all metrics of some runs is relative to the run.
+    For some scenarios, also measure the time of all metrics, relative to that of the run.
     """
     files = sorted(SCENARIOS.glob("*.toml"))
     variants = {file.stem: partial(_one_run, load(file)) for file in files}
@@ -374,7 +375,7 @@ def examples(options: Options) -> list[Cost]:
     times = per_unit(variants | measured, range(options.runs))
     return [
         *(
-            Cost(f"{name} / relay", times[name] / times["relay"], "", TARGETS.get(name, DEAREST))
+            Cost(f"{name} / relay", times[name] / times["relay"], "", LIMITS.get(name, USUAL_LIMIT))
             for name in variants
             if name != "relay"
         ),

@@ -19,10 +19,10 @@ TEAMS = (10, 20)
 """Numbers of pursuers."""
 SIMULATED = 2.0
 """Simulated time of a run, s."""
-RELATIVE = 1 / 0.9
+RELATIVE_LIMIT = 1 / 0.9
 """Most CPU time of a decision in an environment, relative to one in a run."""
-SLOWEST = 500.0
-"""Most CPU time, us, of a decision of a learner that observes at each turn, where a run has decisions often."""
+LEARNER_LIMIT = 500.0
+"""Most CPU time, us, of a decision of a learner that observes at each turn, under a schedule with many turns."""
 
 
 def scenario(rule: str, schedule: str, count: int) -> Scenario:
@@ -46,14 +46,19 @@ def environments(options: Options) -> list[Cost]:
         took = per_unit({"run": partial(_in_runs, scenarios), "played": partial(_in_environments, envs)}, seeds)
         costs += [
             Cost(f"a decision in a run, {schedule}", took["run"] * 1e6, "us"),
-            Cost(f"a rule plays in an environment / in a run, {schedule}", took["played"] / took["run"], "", RELATIVE),
+            Cost(
+                f"a rule plays in an environment / in a run, {schedule}",
+                took["played"] / took["run"],
+                "",
+                RELATIVE_LIMIT,
+            ),
         ]
     for count in TEAMS:
         observed = scenario(RULES[0], "shared_seed", count)
         aec, parallel = desim.env(observed), desim.parallel_env(observed)
         took = per_unit({"aec": partial(_learner, aec), "parallel": partial(_parallel_learner, parallel)}, seeds)
         costs += [
-            Cost(f"a decision of a learner that observes, N = {count}, {kind}", spent * 1e6, "us", SLOWEST)
+            Cost(f"a decision of a learner that observes, N = {count}, {kind}", spent * 1e6, "us", LEARNER_LIMIT)
             for kind, spent in took.items()
         ]
     return costs

@@ -26,7 +26,7 @@ PURSUERS, RATE, DURATION = 12, 10.0, 5.0
 """Number of pursuers, decisions and heartbeats of each per second, and duration of a run, s."""
 PROTOCOLS = ("local_min", "cbba")
 SIMULATIONS = 5
-"""Number of simulations of a lap, which take little time."""
+"""Number of simulations in a lap: several, because one takes little time."""
 
 
 def team(protocol: str) -> Scenario:
@@ -50,22 +50,22 @@ class Lap(NamedTuple):
 
 def lap(scenario: Scenario, seed: int) -> Lap:
     """Measure a simulation, a live run, and the sockets of the live run, one after the other."""
-    begin, decisions = time.process_time(), 0
+    begin, simulated_decisions = time.process_time(), 0
     for k in range(SIMULATIONS):
-        decisions += summary(run(scenario, seed + k)).decisions
-    simulated = (time.process_time() - begin) / decisions
+        simulated_decisions += summary(run(scenario, seed + k)).decisions
+    simulated = (time.process_time() - begin) / simulated_decisions
     nodes = nodes_alone(scenario, seed)
     with counted_lines() as lines:
         result = run_live(scenario, seed, tell=lambda _: None)
-    made = summary(result).decisions
+    decisions = summary(result).decisions
     sockets = apart(bare_sockets, traffic_of(result, lines))
-    return Lap(simulated, nodes, portable_sum(result.conduct.cpu.values()) / made, sockets / made)
+    return Lap(simulated, nodes, portable_sum(result.conduct.cpu.values()) / decisions, sockets / decisions)
 
 
 def nodes_alone(scenario: Scenario, seed: int) -> float:
     """Run all nodes in this process, as fast as it can; return the processor time of a decision, s.
 
-    Datagrams go from hand to hand, and a frame of the world to all nodes at each `FRAME`.
+    Nodes pass datagrams by function calls, and get a frame of the world at each multiple of `FRAME`.
     """
     decided: list[int] = []
     nodes = [Node(scenario, pursuer, seed, on_action=decided.append) for pursuer in range(PURSUERS)]
@@ -81,12 +81,12 @@ def nodes_alone(scenario: Scenario, seed: int) -> float:
         begin = time.process_time()
         due = [(node._env.peek(), pursuer) for pursuer, node in enumerate(nodes)]
         heapify(due)
-        for shown in range(0, nanoseconds(DURATION), FRAME):
+        for frame_start in range(0, nanoseconds(DURATION), FRAME):
             frame = frame_of(nodes[0]._state, [node._mirror.orders for node in nodes])
-            frame = frame._replace(t=shown, profile=[node.action for node in nodes])
+            frame = frame._replace(t=frame_start, profile=[node.action for node in nodes])
             for node in nodes:
                 node.follow(frame)
-            while due[0][0] < shown + FRAME:
+            while due[0][0] < frame_start + FRAME:
                 now, pursuer = int(due[0][0]), due[0][1]
                 nodes[pursuer]._env.advance(now)
                 heapreplace(due, (nodes[pursuer]._env.peek(), pursuer))
@@ -99,13 +99,13 @@ def counted_lines() -> Iterator[dict[str, list[int]]]:
     lines: dict[str, list[int]] = {"sent": [], "received": []}
     write, data_received = Lines.write, Lines.data_received
 
-    def counted_write(end: Lines, line: bytes) -> None:
+    def counted_write(connection: Lines, line: bytes) -> None:
         lines["sent"].append(len(line))
-        write(end, line)
+        write(connection, line)
 
-    def counted_data(end: Lines, data: bytes) -> None:
+    def counted_data(connection: Lines, data: bytes) -> None:
         lines["received"].append(len(data))
-        data_received(end, data)
+        data_received(connection, data)
 
     Lines.write, Lines.data_received = counted_write, counted_data  # type: ignore[assignment,method-assign]
     try:

@@ -33,7 +33,7 @@ class Cost:
 
 
 def table(parts: Mapping[str, Sequence[Cost]]) -> str:
-    """Return all costs as text, a section per key of `found`.
+    """Return all costs as text, a section per part.
 
     A cost with a limit is marked if it is above the limit or nan.
     """

@@ -52,7 +52,7 @@ def replays(options: Options) -> list[Cost]:
 
 
 def made(result: Result, rounds: int) -> tuple[str, float]:
-    """Return the page of a run, and the least CPU time, s, of some rounds in which it is made."""
+    """Return the page of a run, and the CPU time, s, of the fastest of some rounds that make it."""
     times = []
     for _ in range(rounds):
         begin = time.process_time()

@@ -41,8 +41,8 @@ GRID: SweepGrid = {"network.latency.value": [0.01 * k for k in range(10)], "team
 """The grid of the large store: 100 configurations."""
 STORED = 1_000_000
 """Number of runs of the large store."""
-WRITTEN = 1_000
-"""Number of runs that are added to it at a time."""
+BATCH = 1_000
+"""Number of runs that are added to the large store at a time."""
 MEGABYTE = 1e6
 
 
@@ -65,8 +65,8 @@ def side_by_side(two: Executor, runs: int, seed: int) -> float:
 def two_workers(options: Options) -> list[Cost]:
     """Measure a sweep of short runs with one and two workers, and in two independent processes.
 
-    They take turns in short laps, because the speed of a shared machine drifts. The two independent processes show how
-    much faster two cores are than one on this machine.
+    The three take turns in short laps, because the speed of a shared machine drifts. The two independent processes show
+    how much faster two cores are than one on this machine.
     """
     laps, few = [], 4 * len(LATENCIES)
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as independent:
@@ -74,9 +74,9 @@ def two_workers(options: Options) -> list[Cost]:
         for seed in range(options.seed, options.seed + 2 * options.runs):
             swept(few, 2, seed)  # idle workers end after a while
             two, driver = swept(SWEPT, 2, seed)
-            beside = side_by_side(independent, SWEPT, seed)
+            independently = side_by_side(independent, SWEPT, seed)
             single, _ = swept(SWEPT, 1, seed)
-            laps.append((single, two / single, two / beside, driver / two))
+            laps.append((single, two / single, two / independently, driver / two))
     medians = [median(values) for values in zip(*laps, strict=True)]
     return [
         Cost("a run with one worker", medians[0] / SWEPT * 1e3, "ms"),
@@ -89,27 +89,27 @@ def two_workers(options: Options) -> list[Cost]:
 def write_halves(folder: Path, count: int, seed: int) -> None:
     """Write two stores that have together `count` runs with made-up metrics."""
     plan = SweepPlan.of(SHORT, GRID, count // 100, seed)
-    usual = dict(summary(run(SHORT, seed)))
-    names = [name for name, value in usual.items() if isinstance(value, float)]
+    template = dict(summary(run(SHORT, seed)))
+    names = [name for name, value in template.items() if isinstance(value, float)]
     rng = np.random.default_rng(seed)
     for part in (1, 2):
         jobs = plan.shard(part, 2)
         with Store(folder / f"sweep.{part}-of-2.sqlite") as store:
             plan.register(store)
-            for k in range(0, len(jobs), WRITTEN):
-                batch = jobs[k : k + WRITTEN]
+            for k in range(0, len(jobs), BATCH):
+                batch = jobs[k : k + BATCH]
                 numbers = rng.random((len(batch), len(names))).tolist()
                 store.add_all(
                     plan.root,
                     [
-                        (configuration.key, Row(number, plan.root + number, "ok", _changed(usual, names, values)))
+                        (configuration.key, Row(number, plan.root + number, "ok", _changed(template, names, values)))
                         for (configuration, number), values in zip(batch, numbers, strict=True)
                     ],
                 )
 
 
-def _changed(usual: dict[str, Any], names: list[str], values: list[float]) -> Summary:
-    return Summary(usual | dict(zip(names, values, strict=True)))
+def _changed(template: dict[str, Any], names: list[str], values: list[float]) -> Summary:
+    return Summary(template | dict(zip(names, values, strict=True)))
 
 
 def commanded(*words: str) -> tuple[float, float]:

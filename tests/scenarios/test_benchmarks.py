@@ -262,7 +262,7 @@ def test_the_study_measures_environments(few, monkeypatch):
     for name, value in {"SIMULATED": 1.0, "TEAMS": (3,), "RULES": ("sap",), "play": twice}.items():
         monkeypatch.setattr(learning_costs, name, value)
     costs = few("--parts", "environments")["costs"]["environments"]
-    relative = [cost["measured"] for cost in costs if cost["limit"] == learning_costs.RELATIVE]
+    relative = [cost["measured"] for cost in costs if cost["limit"] == learning_costs.RELATIVE_LIMIT]
     assert len(relative) == 8
     assert 1.3 < np.median(relative) < 3.0
     assert len(costs) == 18

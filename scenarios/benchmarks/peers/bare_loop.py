@@ -9,7 +9,7 @@ from desim import Scenario
 def bare_loop(scenario: Scenario, seed: int, slot: float) -> int:
     """Run a pursuit and return the number of slots until capture.
 
-    Without capture, return one less than the number of slots until the horizon.
+    Without capture, return the number of the last slot: one less than the number of slots until the horizon.
 
     Args:
         scenario: scenario that gives the team, the only evader, the capture radius and the horizon.

@@ -1,7 +1,8 @@
 """The sockets of a live run, and nothing else: the same datagrams and lines, between as many processes.
 
-What a live run takes beyond this is desim. Each process has a loop of asyncio, sends datagrams at equal intervals, and
-drops what it receives. A process in the place of the referee sends lines to all others, and drops those that it gets.
+The time that a live run takes beyond this is that of desim. Each process has a loop of asyncio, sends datagrams at
+equal intervals, and drops what it receives. The parent process takes the place of the referee: it sends lines to all
+others, and drops the lines that it receives.
 """
 
 import asyncio
@@ -44,7 +45,7 @@ class Traffic(NamedTuple):
 
 
 def bare_sockets(traffic: Traffic) -> float:
-    """Send and receive all this; return the processor time of all processes, s."""
+    """Send and receive the traffic of a run; return the processor time of all processes, s."""
     ends = [socket.socketpair() for _ in range(traffic.pursuers)]
     datagrams = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(traffic.pursuers)]
     for bound in datagrams:
@@ -55,7 +56,7 @@ def bare_sockets(traffic: Traffic) -> float:
             spent = asyncio.run(_pursuer(traffic, pursuer, datagrams, ends[pursuer][1], begin))
             os.write(times[1], f"{spent}\n".encode())
             os._exit(0)
-    spent = asyncio.run(_referee(traffic, [here for here, _ in ends], begin))
+    spent = asyncio.run(_referee(traffic, [end for end, _ in ends], begin))
     for _ in range(traffic.pursuers):
         os.wait()
     return spent + fsum(map(float, os.read(times[0], LARGEST).split()))
@@ -98,7 +99,7 @@ async def _referee(traffic: Traffic, ends: list[socket.socket], begin: float) ->
 
 
 def _repeat(act: Callable[[], object], begin: float, share: float, duration: float, number: float) -> None:
-    """Call a function a number of times at equal intervals, the first after a share of one."""
+    """Call a function a number of times at equal intervals, for the first time after a share of an interval."""
     loop = asyncio.get_running_loop()
     period = duration / max(number, 1e-9)
 
@@ -112,7 +113,7 @@ def _repeat(act: Callable[[], object], begin: float, share: float, duration: flo
 
 
 async def _spent(traffic: Traffic, begin: float) -> float:
-    """Wait until all has been sent; return the processor time since the start, s."""
+    """Wait until all has been sent; return the processor time of this process since `begin`, s."""
     await asyncio.sleep(begin - time.monotonic())
     before = time.process_time()
     await asyncio.sleep(begin + traffic.duration + REST - time.monotonic())

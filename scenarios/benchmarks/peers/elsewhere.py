@@ -60,14 +60,11 @@ class Peer:
         for package in sorted(folder.glob("*.deb")):
             _run_command(["dpkg", "-x", str(package), "."], folder)
         library_folders = sorted((folder / "usr" / "lib").glob("*-linux-gnu"))
-        where = [f"-I{folder}/usr/include", *(f"-L{folder_of_libraries}" for folder_of_libraries in library_folders)]
+        at_build = [f"-I{folder}/usr/include", *(f"-L{library_folder}" for library_folder in library_folders)]
         # RPATH, unlike RUNPATH, is also searched for the dependencies of the libraries.
-        there = [
-            "-Wl,--disable-new-dtags",
-            *(f"-Wl,-rpath,{folder_of_libraries}" for folder_of_libraries in library_folders),
-        ]
+        at_run = ["-Wl,--disable-new-dtags", *(f"-Wl,-rpath,{library_folder}" for library_folder in library_folders)]
         sources = [str(PROGRAMS / self.program), *(f"-l{library}" for library in self.libraries)]
-        _run_command(["g++", "-O3", "-DNDEBUG", "-std=c++17", "-o", "program", *where, *there, *sources], folder)
+        _run_command(["g++", "-O3", "-DNDEBUG", "-std=c++17", "-o", "program", *at_build, *at_run, *sources], folder)
         return [str(folder / "program")]
 
     def run(self, command: Sequence[str], work: Workload) -> tuple[int, float]:

@@ -57,8 +57,8 @@ class PlainSimPy:
 
     def outcome(self) -> Outcome:
         """Return the outcome; each pending timeout, except that of the next turn, is a message in flight."""
-        ahead = sum(isinstance(event, simpy.Timeout) for *_, event in self.env._queue)
-        return Outcome(self.sent - (ahead - 1), self.tables)
+        pending = sum(isinstance(event, simpy.Timeout) for *_, event in self.env._queue)
+        return Outcome(self.sent - (pending - 1), self.tables)
 
     def read(self, node: int) -> Turns:
         """Update the table of a node with the messages it has received."""
@@ -126,8 +126,8 @@ class PerBroadcast(PlainSimPy):
         super().__init__(workload)
         self.reached = [[self.tables[node] for node in neighbours] for neighbours in workload.neighbours()]
         self.delivered = 0
-        self.look = 0.0
-        """Time, s, at which a node reads next: all arrivals until then can be written at once."""
+        self.next_read = 0.0
+        """Time, s, of the next read of a node: all arrivals until then can be written at once."""
 
     def turns(self) -> Turns:
         return self.together() if isinstance(self.work.latency, Constant) else self.one_by_one()
@@ -154,7 +154,7 @@ class PerBroadcast(PlainSimPy):
         env, end, size, arrivals = self.env, self.work.end, self.work.size, Arrivals(self.work)
         for number in range(self.work.turns):
             now = env.now
-            self.look = min(now + TICK, end)
+            self.next_read = min(now + TICK, end)
             _Visits(self, number, arrivals(number % size, now))
             yield env.timeout(TICK)
 
@@ -172,22 +172,23 @@ class _Visits(simpy.Event):
     def __init__(self, way: PerBroadcast, number: int, arrivals: Iterator[tuple[float, int]]):
         self.env, self._ok, self._value = way.env, True, None
         self.way, self.number, self.src, self.arrivals = way, number, number % way.work.size, arrivals
-        self.always: list[Callable[[Any], None]] = [self.visit]
+        # SimPy sets `callbacks` to None when it processes an event; each `wait` sets this list again.
+        self.visiting: list[Callable[[Any], None]] = [self.visit]
         self.wait(*next(arrivals))
 
     def wait(self, when: float, node: int) -> None:
         """Schedule this event at `when` (s), the arrival at `node`."""
-        self.node, self.callbacks = node, self.always
+        self.node, self.callbacks = node, self.visiting
         self.env.schedule(self, delay=when - self.env.now)
 
     def visit(self, _: simpy.Event) -> None:
-        """Write into the tables of all receivers that are reached by the time at which a node reads next."""
+        """Write into the tables of all receivers that the broadcast reaches until the next read of a node."""
         way, src, number, tables, visited = self.way, self.src, self.number, self.way.tables, 1
         table = tables[self.node]
         if table.get(src, -1) < number:
             table[src] = number
         for when, node in self.arrivals:
-            if when > way.look:
+            if when > way.next_read:
                 self.wait(when, node)
                 break
             table = tables[node]
