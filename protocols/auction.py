@@ -82,7 +82,7 @@ def lists_of(bids: Sequence[Bid]) -> tuple[tuple[int, ...], tuple[float, ...]]:
 
 
 def bids_of(claim: Any) -> list[Bid]:
-    """Return the (M,) bids of a claim, the inverse of `lists_of`."""
+    """Return the (M,) bids of a claim (`cbaa.Claim` or `cbba.StampedClaim`), the inverse of `lists_of`."""
     return list(map(Bid, claim.winners, claim.amounts))
 
 

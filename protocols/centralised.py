@@ -62,7 +62,7 @@ def matching(phi: Sequence[Sequence[float]], reward: float) -> dict[int, int]:
         phi: (M, N) capture times, s.
         reward: the time left to the horizon, s.
     """
-    if len(phi) == 1:
-        first = relay_pursuer(phi[0], reward)
-        return {} if first is None else {first: 1}
+    if len(phi) == 1:  # Algorithm 3; ties go to the lowest index
+        relay = relay_pursuer(phi[0], reward)
+        return {} if relay is None else {relay: 1}
     return optimal_assignment(np.transpose(phi), reward)

@@ -52,7 +52,7 @@ class FictitiousPlay(LearningRule):
             beliefs = {evader: me.beliefs(evader=evader) for evader in me.evaders()}
             for evader, believed in beliefs.items():
                 frequency = frequencies[evader]
-                # A teammate whose announcement has expired counts as not chasing in this turn, and is not forgotten.
+                # The mean over all turns. A teammate whose announcement has expired counts as not chasing in this turn.
                 for j in believed.keys() | frequency.keys():
                     frequency[j] += ((j in believed and believed[j].active == evader) - frequency[j]) / turn
             utilities = {0: 0.0}

@@ -149,11 +149,11 @@ class Policy(Rule):
         names = observation_names(pursuers, evaders)
         absent = [name for name in self.features if not name.startswith(f"{RELATIVE}.") and name not in names]
         if absent:
-            what = f"there is no {absent[0]!r} in this game (pursuers: {pursuers}, evaders: {evaders})"
-            raise KeyedError(Problem(what, "features"))
+            problem = f"there is no {absent[0]!r} in this game (pursuers: {pursuers}, evaders: {evaders})"
+            raise KeyedError(Problem(problem, "features"))
         if self.outputs not in {1, evaders + 1}:
-            what = f"the last layer should have 1 output, or {evaders + 1}, one for each action (it has {self.outputs})"
-            raise KeyedError(Problem(what, "layers"))
+            expected = f"1 output, or {evaders + 1}, one for each action"
+            raise KeyedError(Problem(f"the last layer should have {expected} (it has {self.outputs})", "layers"))
 
     def given(self) -> dict[str, Any]:
         """Return the fields that differ from their defaults, see `Value.given`; of the layers only their sizes."""
@@ -268,7 +268,10 @@ def _check_name(name: str, *, several: bool) -> None:
 
 
 def _reader(name: str) -> Callable[[_Blocks, int], float]:
-    """Return the function that reads a feature, given the blocks and the evader whose chase is scored."""
+    """Return the function that reads a feature, given the blocks and the evader whose chase is scored.
+
+    The block of that evader has no number in its name.
+    """
     block, number, field = _parts(name)
     index = _FIELDS[block].index(field)
     if block == "own":
@@ -287,7 +290,7 @@ def _content(path: Path) -> dict[str, Any]:
     try:
         content = json.loads(text_of_file(path), parse_constant=_refuse_constant, object_pairs_hook=object_once)
     except (ValueError, RecursionError) as error:
-        reason = str(error)
+        reason = str(error)  # that of `text_of_file` begins with the file already
         raise ValueError(reason if reason.startswith(str(path)) else f"{path} is not JSON: {reason}") from error
     if not isinstance(content, dict):
         raise ValueError(f"{path} should have an object with the keys {', '.join(CONTENT)}")

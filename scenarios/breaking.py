@@ -182,12 +182,12 @@ def picture(broken: Sequence[Broken]) -> "Figure":
     values = np.array([[_excess(protocols.get(kind)) for protocols in columns.values()] for kind in rows])
     with plots.styled(figsize=(plots.COLUMN * 1.6, 0.6 + 0.2 * len(rows)), font=7.0) as figure:
         axes = figure.add_subplot()
-        shown = axes.imshow(values, cmap="Greys", vmin=0.0, vmax=8.0, aspect="auto")
+        image = axes.imshow(values, cmap="Greys", vmin=0.0, vmax=8.0, aspect="auto")
         axes.set_yticks(range(len(rows)), rows)
         axes.set_xticks(range(len(columns)), [*columns], rotation=60, ha="right", rotation_mode="anchor")
         axes.set(xlabel="smallest scenario that breaks ...", ylabel="protocol in it")
         axes.tick_params(length=0)
-        figure.colorbar(shown, ax=axes, label="idle beyond centralised (s)")
+        figure.colorbar(image, ax=axes, label="idle beyond centralised (s)")
     return figure
 
 

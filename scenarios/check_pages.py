@@ -27,7 +27,7 @@ MARGIN = 2.0
 
 @dataclass(frozen=True)
 class Remembering(Options):
-    """Options of a study that makes each run once, however many claims need it."""
+    """Options of a study that performs each run once, even if several claims need it."""
 
     values: dict[Any, Any] = field(default_factory=dict)
     """The measurements of all runs of a scenario, by scenario, number of runs and metric."""
@@ -58,6 +58,7 @@ def compared(claim: Claim, options: Options) -> Iterator[Row]:
     runs = max(2, round(claim.share * options.runs))
     for (text, mean, half_width, rounding), number in zip(claim.published(), claim.numbers, strict=True):
         measured, width = number(replace(options, runs=runs))
+        # A published number without an interval is taken to have the measured one.
         margin = MARGIN * hypot(width if half_width is None else half_width, width) + rounding
         yield Row(text, shown(measured, width, text), abs(measured - mean) <= margin)
 

@@ -181,6 +181,7 @@ def _label_handovers(axes: "Axes", chain: "Sequence[tuple[int, int]]", utilities
     places = [
         (seconds(t), float(utilities.utilities[row, pursuer])) for row, (t, pursuer) in zip(rows, chain, strict=True)
     ]
+    # Points on the beginning of each bold line, which no label should cover.
     points = [(t + k * (end - begin) / 100, u) for t, u in places for k in range(1, 8)]
     label_points(axes, places, [str(pursuer) for _, pursuer in chain], avoid=points, color=palette.BLUE)
 
@@ -197,16 +198,16 @@ def _draw_beginning(axes: "Axes", utilities: IndividualUtilities, until: float) 
 def draw_utility_panel(axes: "Axes", panel: IndividualUtilities) -> None:
     """Draw the utility of each active pursuer, bold while no other is active, and a line at 0 for the inactive ones."""
     times, active, utilities = panel
-    t = np.repeat(times, 2)[1:-1] / SECOND
+    t = np.repeat(times, 2)[1:-1] / SECOND  # both ends of each piece, so that lines have steps
     is_alone = active & (active.sum(axis=1) == 1)[:, None]
     axes.axhline(0.0, color=palette.GREY, lw=0.8, label="inactive")
     looks: list[tuple[NDArray[np.bool_], str, dict[str, Any]]] = [
         (active & ~is_alone, "active with others", {"color": palette.SKY, "lw": 0.7}),
         (is_alone, "active alone", {"color": palette.BLUE, "lw": 2.0}),
     ]
-    for shown, label, look in looks:
-        for k, i in enumerate(np.flatnonzero(shown.any(axis=0))):
-            u = np.repeat(np.where(shown[:, i], utilities[:, i], np.nan), 2)
+    for mask, label, look in looks:
+        for k, i in enumerate(np.flatnonzero(mask.any(axis=0))):
+            u = np.repeat(np.where(mask[:, i], utilities[:, i], np.nan), 2)
             axes.plot(t, u, label=None if k else label, **look)
 
 
@@ -245,8 +246,8 @@ def main(options: Options) -> None:
     runs_of = dict(zip(scenarios, options.measure(list(scenarios.values()), "figures", run_metrics), strict=True))
     cells = [{"N": n, "panel": name, "runs": runs} for (n, name), runs in runs_of.items()]
     options.show({"cells": cells}, table(runs_of))
-    drawn = (picture for count in COUNTS for picture in pictures(count, options.seed))
-    options.save_figures(lambda: ((f"{options.name}_{name}", figure) for name, figure in drawn), dpi=PRINT_DPI)
+    named = (picture for count in COUNTS for picture in pictures(count, options.seed))
+    options.save_figures(lambda: ((f"{options.name}_{name}", figure) for name, figure in named), dpi=PRINT_DPI)
 
 
 if __name__ == "__main__":

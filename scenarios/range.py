@@ -108,7 +108,7 @@ def draw_games(axes: "Axes", static: Sequence[Games]) -> None:
     for label, (style, values) in sizes.items():
         counts.plot(RANGES, values, style, color=palette.GREY, label=label)
     counts.set(ylabel="number", ylim=(0, N))
-    if static[0].team == next(iter(TEAMS)):
+    if static[0].team == next(iter(TEAMS)):  # one legend is enough for all panels
         counts.legend(fontsize=7, loc="upper right")
 
 

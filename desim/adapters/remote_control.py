@@ -94,9 +94,9 @@ class RemoteControl(gymnasium.Wrapper[dict[str, Any], Any, Any, Any], RecordCons
         self.network.close()
 
     def _observed(self) -> dict[str, Any]:
-        observation, made, command_age = self._received
+        observation, made_at, command_age = self._received
         return {
             "observation": deepcopy(observation),  # a learner may normalise it in place
-            "age": np.array([self.network.now - made]),
+            "age": np.array([self.network.now - made_at]),
             "command_age": np.array([command_age]),
         }

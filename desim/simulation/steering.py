@@ -93,15 +93,15 @@ class Steering:
         else:
             position_of, speed_of = players.positions().item, self._speed_of
             for pursuer, target in self._chases:
-                here, (_, place, aim, evader_velocity, _) = position_of(pursuer), target.path.last
+                position, (_, place, aim, evader_velocity, _) = position_of(pursuer), target.path.last
                 if self._walled is not None:
                     velocities[pursuer] = self._course(pursuer, aim, now, until)
                 elif self._is_plain:  # the same result as below, faster
                     velocities[pursuer] = guided_velocity(
-                        law, place - here, aim - here, evader_velocity, speed_of[pursuer]
+                        law, place - position, aim - position, evader_velocity, speed_of[pursuer]
                     )
                 else:
-                    geometry = place - here, aim - here, evader_velocity, speed_of[pursuer]
+                    geometry = place - position, aim - position, evader_velocity, speed_of[pursuer]
                     velocities[pursuer] = self._command(pursuer, *geometry, now, until)
         for pursuer in self._sensor.blind(self._actions) if self._sensor is not None else ():
             velocities[pursuer] = self._blind_velocity(pursuer, now, until)
@@ -157,8 +157,8 @@ class Steering:
         """Return the velocity relative to the flow, m/s, with which a pursuer chases an evader at a place (m)."""
         if self._walled is not None:
             return self._course(pursuer, aim, now, until)
-        here = self._players.position(pursuer)
-        geometry = place - here, aim - here, evader_velocity, self._speed_of[pursuer]
+        position = self._players.position(pursuer)
+        geometry = place - position, aim - position, evader_velocity, self._speed_of[pursuer]
         return self._command(pursuer, *geometry, now, until)
 
     def _course(self, pursuer: int, aim: complex, now: int, until: int) -> complex:

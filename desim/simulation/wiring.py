@@ -59,6 +59,7 @@ def make_network(
     """
     faults = draw_faults(scenario.network_faults, state.size, scenario.horizon, seed)
     positions = positions or PursuerPositions(state, scenario.team.top_speed + scenario.environment.top_speed)
+    # The clocks of a planner that is not on a robot have no error.
     skews = scenario.network_faults if scenario.protocol_traits.embodied else ()
     clocks = node_clocks(env, skews, state.size, seed, nanoseconds(scenario.horizon))
     network = Network(

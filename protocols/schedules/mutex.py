@@ -164,7 +164,7 @@ class CriticalSection:
         self._deferred.clear()
 
     def _ask(self) -> None:
-        """Reply to all deferred requests, and send a new request to all neighbours."""
+        """Send a new request to all neighbours; first reply to the deferred requests, which are older."""
         self.leave()
         me = self._me
         # The clock keeps the time stamps increasing even after a loss of memory.

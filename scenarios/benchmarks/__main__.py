@@ -77,8 +77,8 @@ def picture(rates: Sequence[Rate]) -> "Figure":
         for axes, work, bars in zip(figure.subplots(rows, columns, squeeze=False).flat, works, panels, strict=False):
             speeds = [rate.per_second for rate in bars]
             colours = [palette.SERIES[0] if rate.way in DESIM_WAYS else palette.GREY for rate in bars]
-            drawn = axes.barh([rate.way for rate in bars], speeds, color=colours, height=0.7)
-            axes.bar_label(drawn, [f" {speed / 1e3:,.0f}" for speed in speeds], fontsize=8)
+            drawn_bars = axes.barh([rate.way for rate in bars], speeds, color=colours, height=0.7)
+            axes.bar_label(drawn_bars, [f" {speed / 1e3:,.0f}" for speed in speeds], fontsize=8)
             axes.set_xscale("log")
             axes.set_xlim(min(speeds) / 2, max(speeds) * 5)
             axes.set_title(work, fontsize=9)

@@ -43,9 +43,9 @@ def replays(options: Options) -> list[Cost]:
         with TemporaryDirectory() as folder, page() as browser:
             file = Path(folder, "replay.html")
             file.write_text(content, encoding="utf-8")
-            shown, per_frame = frames(browser, file, options.runs)
+            rate_shown, per_frame = frames(browser, file, options.runs)
         costs += [
-            Cost(f"frames of {count} pursuers, load {os.getloadavg()[0]:.1f}", shown, "frames/s"),
+            Cost(f"frames of {count} pursuers, load {os.getloadavg()[0]:.1f}", rate_shown, "frames/s"),
             Cost(f"a frame of {count} pursuers", 1e3 * per_frame, "ms of CPU", 1e3 / rate),
         ]
     return costs

@@ -47,7 +47,7 @@ from scenarios.studies.claims_runs import (
     in_order,
     increase,
     inferring,
-    late,
+    late_bench,
     learning_cost,
     least_and_greatest,
     leaves_alone,
@@ -475,7 +475,7 @@ CLAIMS = (
         "{58 % +- 12 %}, {62 % +- 12 %} and {55 % +- 12 %} are captured, instead of 95 %. The worst-case estimate saves"
         " {4.4 +- 2.4} s of {7.3} s",
         (
-            *(share(captured, evaders_runs.watched(2.0, made)) for made in evaders_runs.ESTIMATES),
+            *(share(captured, evaders_runs.watched(2.0, kind)) for kind in evaders_runs.ESTIMATES),
             watched_saving("worst_case"),
             average(active_time, evaders_runs.watched(2.0, evaders_runs.HELD)),
         ),
@@ -778,7 +778,7 @@ CLAIMS = (
         "decides",
         BEST,
         "once a second costs {12.3 +- 0.6} s of active time here, ten times a second {7.9 +- 0.5} s",
-        [average(active_time, late(slot)) for slot in (1.0, 0.1)],
+        [average(active_time, late_bench(slot)) for slot in (1.0, 0.1)],
     ),
     Claim("race", RACE, "1 8 {6.859 +- 1.161} 15", [average(active_time, raced(8.0))]),
     row_of_race(1.0, "2 1 {13.320 +- 1.651} {+6.462 +- 1.370} 15"),

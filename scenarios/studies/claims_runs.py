@@ -98,8 +98,8 @@ def in_trials(count: int, trials: int) -> Measured:
 
 def cost(team: str, rule: str, latency: float, start: Start = "announced") -> Number:
     """Return the measurement of how much active time a latency costs in `scenarios.start`."""
-    late, prompt = (start_runs.pursuit(team, start_runs.RULES[rule], start, delay) for delay in (latency, 0.0))
-    return difference(active_time, late, prompt)
+    delayed, prompt = (start_runs.pursuit(team, start_runs.RULES[rule], start, delay) for delay in (latency, 0.0))
+    return difference(active_time, delayed, prompt)
 
 
 @number
@@ -116,8 +116,8 @@ def increase(start: Start, *, whole: bool) -> Number:
     With `whole` it is that of all pursuers, else of those that could not capture in time at the start.
     """
     rule = BestResponse(utility=start_runs.UTILITIES["mean"])
-    late, prompt = (start_runs.pursuit("few in time", rule, start, delay) for delay in (start_runs.LONG, 0.0))
-    return difference(active_time if whole else time_of_late_ones, late, prompt)
+    delayed, prompt = (start_runs.pursuit("few in time", rule, start, delay) for delay in (start_runs.LONG, 0.0))
+    return difference(active_time if whole else time_of_late_ones, delayed, prompt)
 
 
 def time_of_late_ones(result: Result) -> float:
@@ -165,7 +165,7 @@ def raced(rate: float) -> Scenario:
     return load(SCENARIOS / "relay.toml").with_(changes)
 
 
-def late(slot: float) -> Scenario:
+def late_bench(slot: float) -> Scenario:
     """Return the scenario of the benchmark with a latency of 1 s, under `argmin` with a slot, s."""
     return load(SCENARIOS / "bench/v1/latency.toml", [f'protocol={{ kind = "argmin", slot = {slot} }}'])
 
@@ -214,8 +214,8 @@ def transported(options: Options, /, way: str | None, scale: float = 1.0, **sett
 
 def retransmitting_saves(channel: str) -> Number:
     """Return the measurement of the active time that retransmitting saves on a channel, against announcing once."""
-    once, again = (coherence_runs.pursuit(channel, way) for way in (transport_runs.ONCE, transport_runs.RELIABLE))
-    return difference(active_time, once, again)
+    once, repeated = (coherence_runs.pursuit(channel, way) for way in (transport_runs.ONCE, transport_runs.RELIABLE))
+    return difference(active_time, once, repeated)
 
 
 @number
@@ -247,8 +247,8 @@ def price(options: Options, defence: str) -> Measured:
 
 def of_latency(latency: float, motion: str) -> Number:
     """Return the measurement of how much active time a latency costs a body."""
-    late, prompt = (bodies_runs.pursuit(bodies_runs.ONE, motion, delay) for delay in (latency, 0.0))
-    return difference(active_time, late, prompt)
+    delayed, prompt = (bodies_runs.pursuit(bodies_runs.ONE, motion, delay) for delay in (latency, 0.0))
+    return difference(active_time, delayed, prompt)
 
 
 @number
@@ -259,8 +259,10 @@ def of_inertia(options: Options, latency: float, motion: str) -> Measured:
         for kind_of_motion in (motion, bodies_runs.SIMPLE)
         for delay in (latency, 0.0)
     ]
-    late, prompt, simple_late, simple_prompt = (np.array(times) for times in options.measure(games, "", active_time))
-    return of(paired(late - prompt, simple_late - simple_prompt))
+    delayed, prompt, simple_delayed, simple_prompt = (
+        np.array(times) for times in options.measure(games, "", active_time)
+    )
+    return of(paired(delayed - prompt, simple_delayed - simple_prompt))
 
 
 def all_at_once(latency: float, motion: str) -> Number:
@@ -365,8 +367,8 @@ def leaves_alone(options: Options, protocol: str, timeout: str) -> Measured:
 
     There are five pursuers, heartbeats each 0.34 s, and `timeout` is how long announcements are believed.
     """
-    late = FIVE_CRASHED.with_({"protocol": protocol, "announce.belief_timeout": timeout})
-    idle, least = options.measure([late, FIVE_CRASHED.with_({"protocol": "centralised"})], "", idle_time)
+    crashed = FIVE_CRASHED.with_({"protocol": protocol, "announce.belief_timeout": timeout})
+    idle, least = options.measure([crashed, FIVE_CRASHED.with_({"protocol": "centralised"})], "", idle_time)
     return in_trials(sum(time > other + 2.0 for time, other in zip(idle, least, strict=True)), len(idle))
 
 

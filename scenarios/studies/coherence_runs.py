@@ -65,7 +65,7 @@ def links(channel: str) -> Links:
 
 
 def pursuit(channel: str, way: str, budget: Budget | None = None) -> Scenario:
-    """Return the scenario of Lee & Bakolas on a channel; `budget` is what `RELIABLE` takes, for ways with as much."""
+    """Return the scenario of Lee & Bakolas on a channel; `budget` is that of `RELIABLE`; see `transport_runs`."""
     return _on(channel, transport_runs.pursuit(SETTING, way, budget))
 
 
@@ -80,10 +80,10 @@ def _on(channel: str, scenario: Scenario) -> Scenario:
 
 def measure(options: Options) -> list[Cell]:
     """Run each way to announce on each channel."""
-    pursued = with_equal_bytes(options, CHANNELS, WAYS, pursuit, "pursuits", transport_runs.run_of_pursuit)
-    rested = with_equal_bytes(options, CHANNELS, WAYS, at_rest, "ages", transport_runs.run_at_rest)
+    pursuits = with_equal_bytes(options, CHANNELS, WAYS, pursuit, "pursuits", transport_runs.run_of_pursuit)
+    rests = with_equal_bytes(options, CHANNELS, WAYS, at_rest, "ages", transport_runs.run_at_rest)
     return [
-        _cell(channel, way, pursued[channel, way], pursued[channel, ONCE], rested[channel, way])
+        _cell(channel, way, pursuits[channel, way], pursuits[channel, ONCE], rests[channel, way])
         for channel in CHANNELS
         for way in WAYS
     ]

@@ -108,8 +108,8 @@ def measure_costs(options: Options) -> list[Cell]:
     active_times = iter(options.measure(scenarios, "latencies", active_time))
     cells = []
     for key in keys:
-        prompt, *late = (next(active_times) for _ in LATENCIES)
-        cells.append(Cell(*key, mean(prompt), tuple(paired(times, prompt) for times in late)))
+        prompt, *delayed = (next(active_times) for _ in LATENCIES)
+        cells.append(Cell(*key, mean(prompt), tuple(paired(times, prompt) for times in delayed)))
     return cells
 
 
@@ -124,8 +124,8 @@ def measure_shares(options: Options) -> list[Share]:
     times = iter(options.measure(scenarios, "who chases", times_by_ability))
     shares = []
     for key in keys:
-        prompt, late = np.array(next(times)), np.array(next(times))
-        shares.append(Share(*key, *(paired(late[:, k], prompt[:, k]) for k in range(2))))
+        prompt, delayed = np.array(next(times)), np.array(next(times))
+        shares.append(Share(*key, *(paired(delayed[:, k], prompt[:, k]) for k in range(2))))
     return shares
 
 
@@ -180,9 +180,9 @@ def times_by_ability(result: Result) -> tuple[float, float]:
     (evader,) = scenario.evaders
     phi = capture_time(start.evaders[0], start.pursuers, start.speeds, evader.speed, scenario.capture.radius)
     times = active_times(result)
-    is_late = [time_left >= scenario.horizon for time_left in phi.tolist()]
-    late = sum_of(time for time, late in zip(times, is_late, strict=True) if late)
-    return late, sum_of(times) - late
+    are_late = [phi_of_one >= scenario.horizon for phi_of_one in phi.tolist()]
+    of_late_ones = sum_of(time for time, is_late in zip(times, are_late, strict=True) if is_late)
+    return of_late_ones, sum_of(times) - of_late_ones
 
 
 def active_times(result: Result) -> list[float]:

@@ -28,13 +28,13 @@ COPY = piece_size(SIZE, 1)
 JITTER = 0.5
 """Jitter of the heartbeats."""
 PERIOD = 0.5
-"""Time between two announcements in a game at rest, s; that of heartbeats follows from equal bytes."""
+"""Time between two announcements in a game at rest, s; the time between two heartbeats follows from equal bytes."""
 REST, N_REST = 10.0, 5
 """Duration, s, and number of pursuers of a game at rest."""
 ONCE, RELIABLE, BACKOFF, HEARTBEATS, CODED = "once", "reliable", "reliable, back-off", "heartbeats", "coded"
 WAYS = (ONCE, RELIABLE, BACKOFF, HEARTBEATS, CODED)
-"""How a change of action is announced: once; retransmitted after 5/4 of a round trip each, or with a back-off of 2;
-repeated by heartbeats; or repeated so many times, `SPACING` apart. The last two have the bytes of `RELIABLE`."""
+"""How a change of action is announced: once; retransmitted every 5/4 of a round trip, or with a back-off of 2; repeated
+by heartbeats; or sent as several copies, `SPACING` apart. The last two ways take as many bytes as `RELIABLE`."""
 SPACING = 0.05
 """Time between two copies of a change of action, s."""
 WITH_EQUAL_BYTES = (HEARTBEATS, CODED)
@@ -66,10 +66,10 @@ class Setting(NamedTuple):
 
     def links(self) -> Links:
         """Return the links of the network."""
-        bursts = GilbertElliott(share=self.loss, burst=max(self.burst, 1e-3), advance="time")
-        return Links(
-            latency=Constant(value=self.latency), loss=bursts if self.burst and self.loss else Bernoulli(p=self.loss)
-        )
+        loss: GilbertElliott | Bernoulli = Bernoulli(p=self.loss)
+        if self.burst and self.loss:
+            loss = GilbertElliott(share=self.loss, burst=self.burst, advance="time")
+        return Links(latency=Constant(value=self.latency), loss=loss)
 
 
 SWEEPS: Mapping[str, Sequence[Any]] = MappingProxyType(
@@ -129,9 +129,10 @@ class Cell:
 
 
 def pursuit(setting: Setting, way: str, budget: Budget | None = None) -> Scenario:
-    """Return the scenario of Lee & Bakolas in a setting; `budget` is what `RELIABLE` takes, for ways with as much."""
+    """Return the scenario of Lee & Bakolas in a setting; a way of `WITH_EQUAL_BYTES` needs the budget of `RELIABLE`."""
     if way == HEARTBEATS:
         assert budget is not None
+        # N heartbeats per period take the bytes that the announcements of changes leave.
         period = N * SIZE / (budget.bytes - SIZE * budget.announcements)
         return _scenario(setting, Announcements(start=setting.start, heartbeat=period, jitter=JITTER))
     copies = round(budget.bytes / (budget.announcements * COPY)) if budget is not None else 1
