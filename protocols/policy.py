@@ -77,7 +77,7 @@ class Layer(Value):
 
 
 SHARP = 1e9
-"""A factor, 1/s, with which a nanosecond outweighs the constant 1."""
+"""A weight so large that even a tiny lead or delay outweighs the constant 1."""
 FIRST_AND_IN_TIME = (
     Layer(weights=((SHARP, 0.0), (0.0, SHARP)), bias=(0.0, 0.0)),
     Layer(weights=((-1.0, -1.0),), bias=(1.0,)),
@@ -145,7 +145,7 @@ class Policy(Rule):
         return len(self.layers[-1].bias)
 
     def check_game(self, pursuers: int, evaders: int) -> None:
-        """Raise KeyedError if a game lacks one of the features, or the scores are not one, or one for each action."""
+        """Raise KeyedError if a game lacks one of the features, or M + 1 scores are not one for each action."""
         names = observation_names(pursuers, evaders)
         absent = [name for name in self.features if not name.startswith(f"{RELATIVE}.") and name not in names]
         if absent:

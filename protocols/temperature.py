@@ -122,17 +122,17 @@ class AdaptiveTau(Value):
         pursuer lost its memory.
         """
         cooling_start = me.now if me.restarts else 0.0
-        teammates, earliest = None, [me.id]  # of the last turn; None before the first
+        teammates, earliest = None, [me.id]  # both of the previous turn; no teammates before the first one
         while True:
             beliefs = me.beliefs()
-            now_earliest = [_earliest(me, evader) for evader in me.evaders()]
+            earliest_now = [_earliest(me, evader) for evader in me.evaders()]
             is_reheated = teammates is not None and (
                 ("new_teammate" in self.reheat_on and bool(beliefs.keys() - teammates))
                 or ("silence" in self.reheat_on and bool(teammates - beliefs.keys()))
-                or ("order" in self.reheat_on and now_earliest != earliest)
+                or ("order" in self.reheat_on and earliest_now != earliest)
             )
             cooling_start = me.now if is_reheated else cooling_start
-            teammates, earliest = beliefs.keys(), now_earliest
+            teammates, earliest = beliefs.keys(), earliest_now
             yield max(me.now - cooling_start, 0.0) / slot
 
 
@@ -151,7 +151,7 @@ TEMPERATURES = OneOf(
 def slots_seen(tau: Temperature, me: Agent, slot: float) -> Iterator[float]:
     """Yield eta at each turn: the number of slots (of length `slot`, s) since the start or the last reheating event."""
     if isinstance(tau, AdaptiveTau):
-        yield from tau.slots_since(me, slot)
+        yield from tau.slots_since(me, slot)  # never ends
     while True:
         yield max(me.now, 0.0) / slot
 

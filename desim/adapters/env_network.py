@@ -69,7 +69,7 @@ class EnvNetwork:
         if (capacity := whole(capacity, "capacity")) < 1:
             raise ValueError(f"capacity should be at least 1 (got {capacity})")
         self._env, self._dt, self._positions_of, self._has_graph = env, dt, positions, graph is not None
-        self._root, links = None if seed is None else seed_of(seed), links_argument(links)
+        self._root_seed, links = None if seed is None else seed_of(seed), links_argument(links)
         self._episodes, self._is_open = 0, agents is None  # open: agents are known only when they appear
         self.row = {agent: row for row, agent in enumerate(agents or ())}
         """The row of each agent that has appeared."""
@@ -105,13 +105,13 @@ class EnvNetwork:
             seed: the seed of the network. None: the next episode of the last seed, or a random seed if there is none.
         """
         if seed is not None:
-            self._root, self._episodes = seed_of(seed), 0
-        if self._root is None:
+            self._root_seed, self._episodes = seed_of(seed), 0
+        if self._root_seed is None:
             episode_seed = secrets.randbits(63)
         elif self._episodes:
-            episode_seed = int(stream(self._root, "episode", self._episodes).integers(2**63))
+            episode_seed = int(stream(self._root_seed, "episode", self._episodes).integers(2**63))
         else:
-            episode_seed = self._root
+            episode_seed = self._root_seed
         self._episodes += 1
         self._places = {}
         if self._is_open:

@@ -32,8 +32,8 @@ class _SetByReset:
 class AECPursuit(Pursuit, AECEnv[str, Any, Any]):
     """One pursuer at a time decides, at the instants of its schedule: `agent_selection` is the next one.
 
-    A pursuer that has no choice is not asked if the rule of the scenario does not ask it. In an episode in which nobody
-    is asked, the first pursuer has a turn without effect: its step says that the episode is over.
+    A pursuer that has no choice is not asked if the rule of the scenario does not ask it. If no pursuer is ever asked,
+    the first one gets a turn without effect, because only a step can tell that the episode is over.
     """
 
     metadata: ClassVar = {"name": NAME, "render_modes": list(RENDER_MODES), "is_parallelizable": False}
@@ -96,7 +96,7 @@ class AECPursuit(Pursuit, AECEnv[str, Any, Any]):
         Raises:
             RuntimeError: if there is no episode; without `reset`, there would be no turn.
         """
-        _ = self._running
+        _ = self._running  # raises the error
         return super().agent_iter(max_iter)
 
     def _select(self) -> None:
@@ -130,7 +130,7 @@ class AECPursuit(Pursuit, AECEnv[str, Any, Any]):
 class ParallelPursuit(Pursuit, ParallelEnv[str, Any, Any]):
     """All pursuers decide at the same instants: at the rounds of the schedule of the scenario.
 
-    The schedule is `rounds`, in which everybody takes part; another one at whose turns all decide at once is kept.
+    The schedule is `rounds`, in which everybody takes part; another schedule in which all decide at once is kept.
     """
 
     metadata: ClassVar = {"name": NAME, "render_modes": list(RENDER_MODES)}

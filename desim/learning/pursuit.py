@@ -97,7 +97,7 @@ class Pursuit:
         self.action_spaces = {name: self._spaces.of_actions() for name in self.possible_agents}
         self.state_space: Box = self._spaces.state
         self.observation_names, self.state_names = self._spaces.observation_names, self._spaces.state_names
-        self._root, self._number = None if seed is None else seed_of(seed), 0
+        self._root_seed, self._episode_number = None if seed is None else seed_of(seed), 0
         self._seed: int | None = None
         self._episode: Episode | None = None
         self._start: StepStart | None = None
@@ -204,11 +204,11 @@ class Pursuit:
                 the seed of the next run of the last root seed.
         """
         if seed is not None:
-            self._root, self._number = seed_of(seed), 0
-        if self._root is None:
-            self._root = randbits(32)
-        self._seed = run_seed(self._root, self._number) if self._number else self._root
-        self._number += 1
+            self._root_seed, self._episode_number = seed_of(seed), 0
+        if self._root_seed is None:
+            self._root_seed = randbits(32)
+        self._seed = run_seed(self._root_seed, self._episode_number) if self._episode_number else self._root_seed
+        self._episode_number += 1
         self.close()
         self._episode = self._start = None  # if the run fails at once, no old episode is left
         self._episode = Episode(self._played_scenario, self._seed)
