@@ -91,7 +91,7 @@ class FaultSite(Protocol):
         `delays` is called once for each broadcast, and once for each message to one node. It returns the extra delay,
         s, at each receiver that is concerned; inf: the message is lost there. Several delays, such as (0.0, 0.5), are
         those of the message and of its copies, each relative to the arrival without the fault. A lost message has no
-        copies.
+        copies. A finite delay is limited to `MAX_TIME`, as each latency is.
         """
 
 

@@ -234,7 +234,7 @@ class Propagation(Value):
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> Floats:
         """Return fixed + d / c, s."""
-        return self.fixed + context.distances / self.speed
+        return self.fixed + np.minimum(context.distances, MAX_TIME * self.speed) / self.speed  # finite
 
     def mean_latency(self) -> float | None:
         """Return the fixed part, s, because distances are not known."""

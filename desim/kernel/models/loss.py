@@ -227,8 +227,8 @@ class FourState(Value):
 
     def stationary(self) -> Floats:
         """Return the (4,) stationary probabilities of the states 1 to 4."""
-        lost = self.p13 / self.p31
-        weights = np.array([1.0, lost * self.p32 / self.p23, lost, self.p14])
+        lost = min(self.p13 / self.p31, 1e150)  # finite, whatever the probabilities
+        weights = np.array([1.0, min(lost * self.p32 / self.p23, 1e300), lost, self.p14])
         return weights / math.fsum(weights)
 
     def start_run(self, size: int) -> Loss:
@@ -283,7 +283,9 @@ class ByDistance(Value):
 
     def probability(self, distances: Floats) -> Floats:
         """Return the (k,) probabilities of loss at (k,) distances, m."""
-        return self.near + (self.far - self.near) * power(np.minimum(distances / self.distance, 1.0), self.exponent)
+        return self.near + (self.far - self.near) * power(
+            np.minimum(distances, self.distance) / self.distance, self.exponent
+        )
 
     def start_run(self, size: int) -> Loss:
         """Create the model of one run; it keeps the probabilities of losses between nodes that do not move."""

@@ -123,7 +123,9 @@ class LogDistance(Value):
         """Return P(d)."""
         from scipy.special import ndtr
 
-        return np.asarray(ndtr(self._margin(distances, range) / self.shadowing))
+        margin = self._margin(distances, range)
+        with np.errstate(over="ignore"):
+            return np.asarray(ndtr(margin / self.shadowing))
 
     def received(self, distances: Floats, range: float, channel: ChannelState) -> Bools:  # noqa: A002
         """Return where the shadowing takes no more than the margin 10 n log10(R / d), dB."""
@@ -191,7 +193,7 @@ class Nakagami(Value):
     def bound(self, range: float) -> float:  # noqa: A002
         """Return a distance, m, beyond which no message is received: there P(d) < 5e-17."""
         ratio = float(nakagami_quantiles(self.m, np.array([NEGLIGIBLE]))[0])
-        return float(range * min(ratio, 1e300) ** (1.0 / self.exponent))
+        return _distance(min(ratio, 1e300), range, self.exponent)
 
 
 class Rice(Value):
@@ -225,7 +227,7 @@ class Rice(Value):
         There P(d) < 5e-17, because Q_1(a, b) <= exp(-(b - a)^2 / 2) for b > a (Simon & Alouini 2000).
         """
         b = sqrt(2.0 * self.k) + sqrt(-2.0 * log(NEGLIGIBLE))
-        return float(range * (b**2 / (2.0 * (self.k + 1.0))) ** (1.0 / self.exponent))
+        return _distance(b**2 / (2.0 * (self.k + 1.0)), range, self.exponent)
 
 
 def _threshold(distances: Floats, range: float, exponent: float) -> Floats:  # noqa: A002
@@ -233,6 +235,11 @@ def _threshold(distances: Floats, range: float, exponent: float) -> Floats:  # n
     with np.errstate(over="ignore"):
         # A power of Python is the same on all machines; with the limit, it does not overflow (n is at most 20).
         return np.array([min(ratio, 1e15) ** exponent for ratio in (distances / range).tolist()])
+
+
+def _distance(threshold: float, range: float, exponent: float) -> float:  # noqa: A002
+    """Return the distance, m, at which (d / R)^n is the threshold; inf if it is too large for a float."""
+    return range * threshold ** (1.0 / exponent) if log(threshold) < 600.0 * exponent else inf
 
 
 def bound(reception: ReceptionModel, range: float) -> float:  # noqa: A002

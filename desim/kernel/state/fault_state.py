@@ -12,6 +12,7 @@ import numpy as np
 
 from desim.config.answers import wrong_answer
 from desim.config.arrays import Integers
+from desim.config.model import MAX_TIME
 from desim.config.python_numbers import real
 from desim.kernel.core.events import Cause
 from desim.kernel.core.positions import PositionFunction, as_position_source
@@ -276,7 +277,7 @@ class FaultState:
             return arrival
         delays = {node: delay for node, (delay, _) in self._intercepted[number].items() if delay < inf}
         return [
-            when + nanoseconds(delays.get(node, 0.0))
+            when + nanoseconds(min(delays.get(node, 0.0), MAX_TIME))
             for node, when in zip(receivers, per_receiver(arrival, len(receivers)), strict=True)
         ]
 
@@ -295,7 +296,9 @@ class FaultState:
         if copies is None:
             return []
         arrivals = dict(zip(reached, per_receiver(arrival, len(reached)), strict=True))
-        return [(node, arrivals[node] + nanoseconds(delay)) for node, delay in copies if node in arrivals]
+        return [
+            (node, arrivals[node] + nanoseconds(min(delay, MAX_TIME))) for node, delay in copies if node in arrivals
+        ]
 
     def forget(self, number: int) -> None:
         """Forget what the interceptions would do to a transmission."""
