@@ -4,7 +4,7 @@ from math import cos, inf, nan, pi, sin
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.integrate import quad, solve_ivp
 
@@ -131,6 +131,7 @@ def test_an_affine_flow_on_all(rate, expected):
 
 
 @given(st.floats(-0.3, 0.3), st.floats(0.2, 9.0), st.floats(0.3, 2.0))
+@example(5e-324, 1.0, 1.0)
 def test_an_expanding_distance_falls_as_by_integration(rate, distance, closing):
     (found,) = expanding_capture_times(np.array([distance]), np.array([closing]), 0.1, rate).tolist()
     if found == inf:

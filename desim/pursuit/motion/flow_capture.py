@@ -79,9 +79,10 @@ def expanding_capture_times(distances: Floats, closing: Floats, radius: float, e
     times = np.where(distances <= radius, 0.0, inf)
     falls = (times > 0.0) & (closing - a * distances > NO_SPEED) & (closing - a * radius > NO_SPEED)
     d, c = distances[falls], closing[falls]
-    # ln(1 + z) / a, where z is the relative change of the closing speed
-    change = a * (d - radius) / (c - a * d)
-    times[falls] = (d - radius) / (c - a * d) if a == 0.0 else portable_math.log1p(change) / a
+    if abs(a) < 1e-200:  # the relative change of the closing speed has too few digits
+        times[falls] = (d - radius) / (c - a * d)
+    else:
+        times[falls] = portable_math.log1p(a * (d - radius) / (c - a * d)) / a
     return times
 
 
