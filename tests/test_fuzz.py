@@ -493,7 +493,9 @@ PLACES = sorted({*dict(keys(VALID)), *Scenario.model_fields, "protocol.tau.scale
 def overrides(draw) -> str:
     """Draw an argument of --set: mostly a key that there is, and a value in TOML."""
     if rare(draw, 10):
-        return draw(st.text(st.characters(exclude_characters="\x00", exclude_categories=["Cs"]), max_size=20))
+        return draw(
+            st.text(st.characters(exclude_characters="\x00", exclude_categories=["Cs"]), min_size=1, max_size=20)
+        )
     key = draw(st.sampled_from(PLACES))
     if rare(draw, 10):
         key = draw(st.sampled_from(["{}.", ".{}", "{}.x", "{}.0", "x.{}", "{} ", "'{}'"])).format(key)

@@ -25,7 +25,7 @@ def latency(**keys: str) -> dict[str, Any]:
 
 PLACES = {
     "the column of a file": lambda text: {
-        "network": {"latency": {"kind": "trace", "table": "t,x\n0,1", "value": text}}
+        "network": {"latency": {"kind": "trace", "table": "t,y\n0,1", "value": text}}
     },
     "a column that there is": lambda text: {"network": {"latency": {"kind": "trace", "table": f't,"{text}"\n0,1'}}},
     "a file of latencies": lambda text: {"network": {"latency": {"kind": "empirical", "file": text}}},
