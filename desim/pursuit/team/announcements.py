@@ -290,7 +290,7 @@ class Announcements(Value):
     latency + airtime of an announcement), or inf without heartbeats. It is longer if a duty cycle or the slots of a
     TDMA keep a pursuer from sending every heartbeat. "affordable": as "auto", but no longer than the pursuer can wait
     and still capture in time, and at least one heartbeat. So a slow pursuer takes the place of a crashed one before it
-    is too late; at worst, both chase, because no pursuer has crashed.
+    is too late; at worst, it chases beside a pursuer that has not crashed.
 
     If in doubt, use auto; use affordable if pursuers may crash and hardly any other pursuer could be in time.
     """
