@@ -22,11 +22,11 @@ from desim.pursuit.mobility.mobility import MobilityFile, NodeName, NodeTrack, W
 TRAVELLERS = frozenset({"vehicle", "person", "container"})
 """The elements of a time step that have a position."""
 LEAST_SHARE = 0.01
-"""The share of their speeds at which vehicles move; below it, their positions are in degrees (1e-5 of it)."""
+"""Least share of their speeds at which vehicles move. Positions in degrees give a share of 1e-5."""
 
 
 class _Place(NamedTuple):
-    """An element of a time step."""
+    """The place of a traveller in a time step: the time as it is written, the attributes, and the line."""
 
     t: str
     attributes: dict[str, str]

@@ -98,7 +98,7 @@ def _with_entries(state: StateVector, covariance: Upper, entries: Sequence[Entry
     """
     x, y, vx, vy = state
     xx, xy, xu, xv, yy, yu, yv, uu, uv, vv = covariance  # (u, v): the velocity
-    before = xx, yy, uu, vv
+    variances = xx, yy, uu, vv
     # A rounding error is at most half of this times the square of h, by the inequality of Cauchy and Schwarz.
     least = 2.0 * ROUNDING * (abs(xx) + abs(yy) + abs(uu) + abs(vv))
     for row, number, variance in entries:
@@ -106,7 +106,7 @@ def _with_entries(state: StateVector, covariance: Upper, entries: Sequence[Entry
         sx, sy = xx * a + xy * b + xu * c + xv * d, xy * a + yy * b + yu * c + yv * d
         su, sv = xu * a + yu * b + uu * c + uv * d, xv * a + yv * b + uv * c + vv * d
         total = sx * a + sy * b + su * c + sv * d + variance
-        if total <= least * (a * a + b * b + c * c + d * d) and total <= _rounding_error(row, before):
+        if total <= least * (a * a + b * b + c * c + d * d) and total <= _rounding_error(row, variances):
             continue  # the product is known exactly already
         difference = number - (a * x + b * y + c * vx + d * vy)
         gx, gy, gu, gv = sx / total, sy / total, su / total, sv / total

@@ -44,7 +44,8 @@ class Sensing(Value):
     """Estimated position of an unseen evader. hold: the position of the last sighting; constant_velocity: this position
     extrapolated with the velocity at the last sighting; worst_case: the position of the last sighting, with the capture
     time phi = (d + v_e a - eps) / (v_i - v_e), where d is the distance to this position and a the age of the sighting.
-    If all clocks are equal, this phi is an upper bound. It is refused with a flow, and for pursuers with inertia."""
+    If all clocks are equal, this phi is an upper bound. worst_case is refused with a flow, and for pursuers with
+    inertia."""
     period: Period = 0.1
     """Time between two reports of a pursuer, s. A pursuer repeats its own last sighting, because reports may be lost,
     until the sighting is `track_timeout` old or a newer one is reported to it.
