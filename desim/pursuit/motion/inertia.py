@@ -112,11 +112,10 @@ class InertialKinematics(Kinematics):
         for act in self._before_change:
             act()
         flow = [0j] * len(self._pieces) if drifts is None else drifts.tolist()
+        players = zip(range(len(flow)), self._stays, self._pieces, velocities.tolist(), flow, strict=True)
         self._pieces = [
             piece if stays and not (command or drift or piece.moves) else self._piece(player, command, drift)
-            for player, (stays, piece, command, drift) in enumerate(
-                zip(self._stays, self._pieces, velocities.tolist(), flow, strict=True)
-            )
+            for player, stays, piece, command, drift in players
         ]
         self._since, self.commands, self.drifts = self._env.now, velocities, drifts
 

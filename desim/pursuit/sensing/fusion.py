@@ -107,6 +107,7 @@ def inverse(matrix: Upper) -> tuple[Upper, float] | None:
     iuu, iuv, ivv = vv / of_velocity, -uv / of_velocity, uu / of_velocity
     # The regression of the position on the velocity: the block of both times the inverse of the block of the velocity.
     gxu, gxv, gyu, gyv = xu * iuu + xv * iuv, xu * iuv + xv * ivv, yu * iuu + yv * iuv, yu * iuv + yv * ivv
+    # s: the Schur complement of the velocity; i: the inverse.
     sxx, sxy, syy = xx - gxu * xu - gxv * xv, xy - gxu * yu - gxv * yv, yy - gyu * yu - gyv * yv
     of_position = sxx * syy - sxy * sxy
     determinant = of_position * of_velocity

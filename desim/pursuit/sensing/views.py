@@ -212,7 +212,7 @@ class View:
                 assumed to head straight for the evader's present position, as estimated, and to have simple motion.
             ended: time since the chase ended, at most `age`, ns; 0 if the chase continues. The pursuer is assumed to
                 have been inactive since then. A later call with the same start must not give an earlier end of the
-                chase.
+                chase, because `EvaderTrack.retrace` goes on from the last call.
         """
         state, body = self.state, self.state.body(evader)
         if state.static or age == ended:
