@@ -168,7 +168,9 @@ def select(text: str, columns: tuple[str, ...], name: str) -> str:
     for column in columns:
         if header.count(column) != 1:
             problem = "no column" if column not in header else "several columns"
-            raise ValueError(f"{name} has {problem} {column!r}; its columns are {', '.join(header)}{_headless(header)}")
+            raise ValueError(
+                f"{name} has {problem} {column!r}; its columns are {', '.join(header)}{_headless_hint(header)}"
+            )
     cells_in_use = itemgetter(*(header.index(column) for column in columns))
     has_commas = separator_of(text) == ","
     rows, selected = _rows_as_long_as(header, rows_of(text, name), name, has_commas=has_commas), StringIO()
@@ -203,7 +205,7 @@ def _rows_as_long_as(
         yield line, cells
 
 
-def _headless(header: Sequence[str]) -> str:
+def _headless_hint(header: Sequence[str]) -> str:
     """Return the probable reason why a column is missing, after a semicolon; "" if the header has names."""
     try:
         [number_of(cell) for cell in header]
@@ -227,17 +229,17 @@ def plain_rows(text: str, name: str) -> Iterator[tuple[int, list[str]]]:
 
 
 def with_points(
-    rows: Iterator[tuple[int, list[str]]], chosen: Callable[[list[str]], Sequence[str]], name: str
+    rows: Iterator[tuple[int, list[str]]], cells_in_use: Callable[[list[str]], Sequence[str]], name: str
 ) -> Iterator[tuple[int, list[str]]]:
     """Yield rows with decimal points instead of decimal commas.
 
     Raises:
-        ValueError: if some chosen cells have decimal commas and others decimal points, because one of the two may
+        ValueError: if some cells in use have decimal commas and others decimal points, because one of the two may
             separate thousands.
     """
     first_by_sign: dict[str, tuple[int, str]] = {}
     for line, cells in rows:
-        for cell in chosen(cells) if len(cells) > 1 else ():
+        for cell in cells_in_use(cells) if len(cells) > 1 else ():
             if match := DECIMAL.fullmatch(cell.strip()):
                 first_by_sign.setdefault(match[1] or match[2], (line, cell.strip()))
         if len(first_by_sign) > 1:
@@ -248,7 +250,7 @@ def with_points(
 
 
 def separator_in(text: str) -> str:
-    """Return the sign that separates the cells of numbers and names; "" if it is white space.
+    """Return the sign that separates the cells of a table of numbers and names; "" if it is white space.
 
     Semicolons and tabs take precedence, because commas may then be decimal commas.
     """

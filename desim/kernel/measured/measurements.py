@@ -124,10 +124,10 @@ class Measurements:
         last = int(self.times[-1])
         if not last:
             return SECOND
-        count = np.diff(self.first)
+        counts = np.diff(self.first)
         spans = self.times[self.rank[self.first[1:] - 1]] - self.times[self.rank[self.first[:-1]]]
-        lasting = [span + span // (n - 1) for span, n in zip(spans.tolist(), count.tolist(), strict=True) if n > 1]
-        return max(last + max(last // (len(self.times) - 1), 1), int(median(lasting or [0])))
+        durations = [span + span // (n - 1) for span, n in zip(spans.tolist(), counts.tolist(), strict=True) if n > 1]
+        return max(last + max(last // (len(self.times) - 1), 1), int(median(durations or [0])))
 
 
 def time_of(text: str, unit: Unit = "s") -> Decimal:
@@ -275,11 +275,12 @@ def measurements_of(table: str, columns: Columns, meaning: Meaning, name: str) -
         hint = "" if columns.src else "; if the rows are of several links, src and dst should name their columns"
         reason = f"{columns.time} should increase; it is not later than in {row_before}, of the same link{hint}"
         raise cells.error(late_row, reason)
-    distinct, rank = np.unique(times, return_inverse=True)
+    distinct_times, rank = np.unique(times, return_inverse=True)
     first = np.append(np.flatnonzero(is_first), len(row))
     lines = np.array(cells.lines)[row[first[:-1]]]
     filled, is_missing = _filled(values[row], first)
-    return Measurements(src[is_first], dst[is_first], lines, first, distinct, rank[row], filled, is_missing, names)
+    links = src[is_first], dst[is_first]
+    return Measurements(*links, lines, first, distinct_times, rank[row], filled, is_missing, names)
 
 
 def _times(cells: Cells, column: str, unit: Unit) -> Integers:
@@ -289,15 +290,13 @@ def _times(cells: Cells, column: str, unit: Unit) -> Integers:
     if reason := _why_no_seconds(times, start):
         hint = " (time_unit)" if "probably in" in reason else ""
         raise cells.error(times.index(start), f"{column}: {reason}{hint}")
-    if (latest := max(times)) - start > MAX_TIME:
+    if (end := max(times)) - start > MAX_TIME:
         hint = (
             "; dates should all have a time zone, or none"
             if any(map(DATE.fullmatch, map(str.strip, cells.columns[column])))
             else ""
         )
-        raise cells.error(
-            times.index(latest), f"{column} should be at most {MAX_TIME:g} s after the earliest time{hint}"
-        )
+        raise cells.error(times.index(end), f"{column} should be at most {MAX_TIME:g} s after the earliest time{hint}")
     return np.array([round((time - start) * SECOND) for time in times], dtype=np.int64)
 
 

@@ -50,19 +50,19 @@ class Playback:
         links, counts = np.arange(len(first)), last - first + 1
         values, is_missing = trace.scaled(measured.values), measured.is_missing
         at_zero = last if repeats else first
-        begin = values[at_zero]
-        if repeats and self._is_linear:  # from the last row, through the end of the trace, to the first row
-            wait = measured.times[measured.rank[first]]
-            gap = self._end - measured.times[measured.rank[last]] + wait
-            begin = begin + (values[first] - begin) * ((gap - wait) / gap)
-        finish = begin if repeats else values[last]
+        begin_values = values[at_zero]
+        if repeats and self._is_linear:  # interpolated from the last row, through the end of the trace, to the first
+            first_time = measured.times[measured.rank[first]]
+            gap = self._end - measured.times[measured.rank[last]] + first_time
+            begin_values = begin_values + (values[first] - begin_values) * ((gap - first_time) / gap)
+        end_values = begin_values if repeats else values[last]
         # The added rows at time 0, the rows of the table, and the added rows at the end.
         keys = [links * self._width, np.repeat(links, counts) * self._width + measured.rank]
         keys += [(links + 1) * self._width - 1]
         # Stable, so that a row of the table at time 0 comes after the added row with the same key, and replaces it.
         order = np.argsort(np.concatenate(keys), kind="stable")
         self._keys = np.concatenate(keys)[order]
-        self._values = np.concatenate((begin, values, finish))[order]
+        self._values = np.concatenate((begin_values, values, end_values))[order]
         self._is_missing = np.concatenate((is_missing[at_zero], is_missing, is_missing[last]))[order]
         self._row_times = np.append(measured.times, self._end)[self._keys % self._width]
         self.loses = bool(is_missing.any())
@@ -98,8 +98,9 @@ class Playback:
         values = self._values[rows]
         if not self._is_linear:
             return values
-        begin = self._row_times[rows]
-        return values + (time - begin) / (self._row_times[rows + 1] - begin) * (self._values[rows + 1] - values)
+        row_times = self._row_times[rows]
+        share = (time - row_times) / (self._row_times[rows + 1] - row_times)
+        return values + share * (self._values[rows + 1] - values)
 
     def is_missing(self, context: LinkContext) -> Any:
         """Return whether the values at the time of a transmission are missing; see `values`."""

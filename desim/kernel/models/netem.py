@@ -61,8 +61,8 @@ class Netem(Value):
     def _read(cls, data: Any, info: ValidationInfo) -> Any:
         if not isinstance(data, dict) or data.get("file") is None:
             return data
-        if beside := [name for name in ("distribution", "table") if data.get(name) is not None]:
-            raise ValueError(f"should have either a file or a {beside[0]}")
+        if excluded := [name for name in ("distribution", "table") if data.get(name) is not None]:
+            raise ValueError(f"should have either a file or a {excluded[0]}")
         return data | {"file": None, "table": read_table(resolve_path(data["file"], info))}
 
     @model_validator(mode="after")
@@ -84,16 +84,16 @@ class Netem(Value):
 
     def quantile(self, u: Floats) -> Floats:
         """Return the u-quantile of the latency, s, as if reordering were not correlated."""
-        undelayed = self._undelayed
-        if undelayed == 1.0:
+        reordered = self._reordered_share
+        if reordered == 1.0:
             return np.zeros_like(u)
         # Reordered messages are the fastest, so they take the lowest u: the quantile function stays monotone.
-        return np.where(u < undelayed, 0.0, self._delayed(np.maximum(u - undelayed, 0.0) / (1.0 - undelayed)))
+        return np.where(u < reordered, 0.0, self._delay_quantile(np.maximum(u - reordered, 0.0) / (1.0 - reordered)))
 
     def mean_latency(self) -> float | None:
         """Return the mean latency, s; that of a uniform distribution is taken over 4096 values."""
         size = len(self.numbers() or range(SIZE))
-        return (1.0 - self._undelayed) * fsum(self._delayed((np.arange(size) + 0.5) / size)) / size
+        return (1.0 - self._reordered_share) * fsum(self._delay_quantile((np.arange(size) + 0.5) / size)) / size
 
     def draw(self, count: int, rng: np.random.Generator) -> Floats:
         """Draw (count,) latencies, s, without state."""
@@ -104,11 +104,11 @@ class Netem(Value):
         return self.draw(len(context.dst), rng)
 
     @property
-    def _undelayed(self) -> float:
+    def _reordered_share(self) -> float:
         """The share of reordered messages: each follows gap - 1 delayed ones and a geometric number of trials."""
         return self.reorder / (1.0 + self.reorder * (self.gap - 1))
 
-    def _delayed(self, u: Floats) -> Floats:
+    def _delay_quantile(self, u: Floats) -> Floats:
         """Return the u-quantile of the latency, s, of messages that are not reordered."""
         units = 2.0 * u - 1.0
         if self.distribution != "uniform" or self.table is not None:
