@@ -2,7 +2,7 @@
 
 1. If the labels or the names of the nodes are 0 .. n - 1, each node keeps its number.
 2. If the nodes have other integers, they are numbered in ascending order.
-3. Otherwise the nodes are numbered in the order of the graph: in a file, that in which it names them.
+3. Otherwise the nodes are numbered in the order of the graph: of a file, the order in which it names them.
 """
 
 import re
@@ -37,28 +37,30 @@ def numbered(graph: "nx.Graph[Any]") -> Numbering:
         ValueError: if both the nodes and their labels are 0 .. n - 1, in different orders.
     """
     nodes = list(graph)
-    of_names, labels = _integers(nodes), _labels(graph)
-    of_labels = None if labels is None else _integers(labels)
-    plain = set(range(len(nodes)))
+    name_integers, labels = _integers(nodes), _labels(graph)
+    label_integers = None if labels is None else _integers(labels)
+    plain_numbers = set(range(len(nodes)))
     names_are_plain, labels_are_plain = (
-        integers is not None and set(integers) == plain for integers in (of_names, of_labels)
+        integers is not None and set(integers) == plain_numbers for integers in (name_integers, label_integers)
     )
-    if names_are_plain and labels_are_plain and of_names != of_labels:
-        k = next(k for k in range(len(nodes)) if of_names[k] != of_labels[k])  # type: ignore[index]
+    if names_are_plain and labels_are_plain and name_integers != label_integers:
+        k = next(k for k in range(len(nodes)) if name_integers[k] != label_integers[k])  # type: ignore[index]
         raise ValueError(f"node {nodes[k]!r} has the label {labels[k]!r}, so that its number is not clear")  # type: ignore[index]
-    if labels_are_plain and of_labels is not None:
-        numbers = of_labels
-    elif names_are_plain and of_names is not None:
-        numbers = of_names
+    if labels_are_plain and label_integers is not None:
+        numbers = label_integers
+    elif names_are_plain and name_integers is not None:
+        numbers = name_integers
     else:
-        order = range(len(nodes)) if of_names is None else sorted(range(len(nodes)), key=of_names.__getitem__)
+        order = range(len(nodes)) if name_integers is None else sorted(range(len(nodes)), key=name_integers.__getitem__)
         numbers = [0] * len(nodes)
         for number, k in enumerate(order):
             numbers[k] = number
-    shown = [_name(*pair) for pair in zip(nodes if labels is None else labels, numbers, strict=True)]
-    names = tuple(name for _, name in sorted(zip(numbers, shown, strict=True)))
+    texts = [_name(*pair) for pair in zip(nodes if labels is None else labels, numbers, strict=True)]
+    names = tuple(text for _, text in sorted(zip(numbers, texts, strict=True)))
     is_plain = names == tuple(map(str, range(len(nodes))))
-    is_shifted = not (names_are_plain or labels_are_plain) and (of_names if labels is None else of_labels) is not None
+    is_shifted = (
+        not (names_are_plain or labels_are_plain) and (name_integers if labels is None else label_integers) is not None
+    )
     return Numbering(dict(zip(nodes, numbers, strict=True)), () if is_plain else names, is_shifted)
 
 

@@ -108,10 +108,7 @@ class ArrivalLosses:
                 yield k
 
     def _crashed(self, nodes: list[int], number: int | Integers) -> list[Cause | None] | None:
-        """Return (k,) causes: of the crash of a receiver, or of a sender while it transmitted; else None.
-
-        None instead of a list: there is no such crash.
-        """
+        """Return (k,) causes: of the crash of a receiver, or of a sender while it transmitted; None: no such crash."""
         assert self._fault_state is not None
         down_cause, cut_short = self._fault_state.down_cause, self._cut_short
         if not self._fault_state.down_nodes and not cut_short:

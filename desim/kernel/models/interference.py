@@ -210,7 +210,7 @@ class Collision(Value):
 
 
 class CaptureEffect(Faded):
-    """A frame is received if it is stronger than each frame that overlaps it by a threshold.
+    """A frame is received if it is stronger, by a threshold, than each frame that overlaps it.
 
     The power of a frame decreases with distance d as d^-exponent (log-distance path loss). All nodes transmit with the
     same power.
@@ -231,12 +231,12 @@ class CaptureEffect(Faded):
     ends. It locks at once: the time of a preamble is not modelled."""
 
     def __call__(self, overlap: Overlap) -> Bools:
-        """Return where the frame is by the threshold stronger than each audible frame."""
+        """Return where the frame is stronger, by the threshold, than each audible frame."""
         power = self._level(overlap, overlap.frame, self.exponent)
         received = np.ones(len(power), dtype=bool)
         for other in overlap.others:
-            weaker = self._level(overlap, other, self.exponent) + self.threshold <= power
-            received &= weaker | ~overlap.audible(other)
+            is_weaker = self._level(overlap, other, self.exponent) + self.threshold <= power
+            received &= is_weaker | ~overlap.audible(other)
         return received
 
 

@@ -63,9 +63,9 @@ class GilbertElliott(Value):
     are lost.
 
     If the state advances with time, a link that was bad is bad again after t s with the probability s + (1 - s)
-    exp(-t / (burst (1 - s))). If it advances with messages, as in netem, an idle link keeps its state. A sender that
-    waits before it repeats a message then outlasts no burst, and alone on a link it takes 1 / (1 - s) attempts, as
-    without bursts. Where messages are repeated, let the state advance with time.
+    exp(-t / (burst (1 - s))). If it advances with messages, as in netem, an idle link keeps its state: a sender that
+    waits before it repeats a message outlasts no burst. If the link carries nothing else, a message takes 1 / (1 - s)
+    attempts, as without bursts. Where messages are repeated, let the state advance with time.
     """
 
     kind: Literal["gilbert_elliott"] = "gilbert_elliott"
@@ -87,7 +87,7 @@ class GilbertElliott(Value):
     """Correlation of the states of two links with a node in common, such as those to two receivers of a broadcast;
     only if the state advances with time.
 
-    A link is then bad while its sender, its receiver or itself is, so `common` is a little less than 1/2 at most.
+    A link is bad while its sender, its receiver or the link itself is, so `common` is a little less than 1/2 at most.
 
     If in doubt, 0.3 where robots drive into dead spots; 0: links are independent.
     """
