@@ -59,7 +59,7 @@ class Command(NamedTuple):
 
 
 ACTIONS = ("add", "change", "replace", "delete", "show", "list", "lst")
-"""What `tc qdisc` does; like tc, desim takes each beginning of a word for the first word that begins so."""
+"""The actions of `tc qdisc`. As in tc, an abbreviation stands for the first action that begins with it."""
 FORM = "is not allowed here; a command is: tc qdisc add|change|replace dev DEVICE root netem OPTIONS"
 NOTHING = frozenset({"true", ":", "set", "echo"})
 """The commands that do nothing to links."""
@@ -125,10 +125,10 @@ class _Words:
         except ValueError as error:
             raise self.wrong(str(error)) from error
 
-    def values(self, convert: Callable[[str], _Value], most: int) -> list[_Value]:
-        """Take a value, and further ones up to `most` while the next word begins with a digit, as in tc."""
+    def values(self, convert: Callable[[str], _Value], max_count: int) -> list[_Value]:
+        """Take a value, and further ones while the next word begins with a digit, as in tc; at most `max_count`."""
         numbers = [self.value(convert)]
-        while len(numbers) < most and self.has_number:
+        while len(numbers) < max_count and self.has_number:
             numbers.append(self.value(convert))
         return numbers
 
@@ -142,11 +142,11 @@ class _Words:
         """All words of the command."""
         return [word for word, _ in self._words]
 
-    def wrong(self, why: str) -> TcError:
+    def wrong(self, problem: str) -> TcError:
         """Return the error about the word that was taken last."""
         word = self._words[self._next - 1][0]
         hint = "; no line above gives this variable a value" if "$" in word else ""
-        return TcError(f"{self.where}: {word!r} {why}{hint}")
+        return TcError(f"{self.where}: {word!r} {problem}{hint}")
 
 
 def order_of(*, reorders: bool, has_rate: bool) -> Order:
@@ -170,7 +170,7 @@ def commands(text: str, source: str) -> Iterator[Command]:
     way: Way | None = None
     words: list[tuple[str, str]] = []
     values: dict[str, str] = {}  # of variables
-    before: Command | None = None  # the command before `||`
+    previous: Command | None = None  # the command before `||`
     line, line_begin = 1, 0
     for token in _TOKEN.finditer(text.removeprefix("\ufeff") + "\n"):
         where = f"{source}:{line}:{token.start() - line_begin + 1}"
@@ -189,10 +189,10 @@ def commands(text: str, source: str) -> Iterator[Command]:
                 is_assignment = _assign(_Words(words).all, values)
                 command = None if is_assignment else _command(_Words(words), way)
                 words = []
-                if command is not None and not _repeats(command, before):
+                if command is not None and not _repeats(command, previous):
                     yield command
                     way = way if command.action == "delete" else None  # the comment is for the command after a deletion
-                before = command if token[0] == "||" else None
+                previous = command if token[0] == "||" else None
         if "\n" in token[0]:
             line, line_begin = line + 1, token.end()
 
@@ -233,15 +233,15 @@ def _does_nothing(words: list[str]) -> bool:
     return name in NOTHING or (name in SET_UP and ENDING.isdisjoint(words))
 
 
-def _repeats(command: Command, before: Command | None) -> bool:
+def _repeats(command: Command, previous: Command | None) -> bool:
     """Return whether a command is the same as the one before `||`, as in `tc ... change ... || tc ... add ...`.
 
     Raises:
         TcError: if it is another command, because it is not known which of the two has an effect.
     """
-    if before is None or "delete" in {before.action, command.action}:
+    if previous is None or "delete" in {previous.action, command.action}:
         return False
-    if (before.device, before.options) != (command.device, command.options):
+    if (previous.device, previous.options) != (command.device, command.options):
         raise TcError(f"{command.where}: differs from the command before ||; which of them has an effect is not known")
     return True
 
