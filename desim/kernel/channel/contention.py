@@ -187,7 +187,7 @@ class Contention:
             self._plan()
 
     def _plan(self) -> None:
-        """Schedule an event at the next planned action, unless there is one."""
+        """Schedule an event at the next planned action, unless an event is scheduled for then or earlier."""
         first = int(self._nodes.due.min())
         if first < self._wake:
             self._wake = first

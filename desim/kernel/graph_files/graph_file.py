@@ -41,7 +41,7 @@ UNREAD = {
     ".dl": "igraph.Graph.Read_DL(...).to_networkx",
     ".gdf": "a script of yours",
 }
-"""The functions that read graphs of formats that are not read here, by the ending of the file."""
+"""The functions that read graphs of formats that desim does not read, by the ending of the file."""
 METIS = {".metis", ".chaco", ".graph"}
 """The endings of graphs in the format of METIS; an edge list may end in `.graph`, too."""
 
@@ -62,13 +62,13 @@ def read_graph(file: Path, directed: bool | None = None) -> "nx.Graph[Any]":
         raise ValueError(_not_read(file, ending, UNREAD[ending]))
     content = content_of(file)
     if XML.match(content):
-        name, read = _xml_reader(file, content)
+        form, read = _xml_reader(file, content)
     else:
-        name, read = _text_reader(file, ending, text_of_file(file), directed)
-    is_list = name in {"an edge list", "an adjacency list", "an adjacency matrix"}
+        form, read = _text_reader(file, ending, text_of_file(file), directed)
+    is_list = form in {"an edge list", "an adjacency list", "an adjacency matrix"}
     if directed is not None and not is_list:
         raise ValueError(
-            f"directed is only for edge lists, adjacency lists and matrices: {file} is {name}, which says it"
+            f"directed is only for edge lists, adjacency lists and matrices: {file} is {form}, which says it"
         )
     try:
         graph = read()
@@ -76,7 +76,7 @@ def read_graph(file: Path, directed: bool | None = None) -> "nx.Graph[Any]":
         if is_list:
             raise
         missing = "there is no " if isinstance(error, KeyError) else ""
-        raise ValueError(f"{file} is not a graph in {name.removeprefix('a ')}: {missing}{error}") from error
+        raise ValueError(f"{file} is not a graph in {form.removeprefix('a ')}: {missing}{error}") from error
     if is_list and any("latency" in attributes for *_, attributes in graph.edges(data=True)):
         check_comments(text_of_file(file), file, "s")
     return graph
@@ -325,7 +325,7 @@ def _with_defaults(graph: "nx.Graph[Any]") -> "nx.Graph[Any]":
 
 
 def _quietly(read: Reader) -> "nx.Graph[Any]":
-    """Return what a reader of networkx returns, without its warnings of parts that have no effect here."""
+    """Return what a reader of networkx returns, without its warnings about parts that have no effect in desim."""
     import warnings
 
     with warnings.catch_warnings():

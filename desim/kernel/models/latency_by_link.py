@@ -84,8 +84,8 @@ class PerPair(Value):
 
 def _check_quantiles(base: Any) -> None:
     if LinkTraits.of(base).quantile is None:
-        inherits = " of its own, because the inherited one does not follow" if "quantile" in dir(base) else ""
-        raise ValueError(f"base should have a method quantile(u){inherits}, {name_and_place(base)} has none")
+        addition = " of its own, because the inherited one does not fit it" if "quantile" in dir(base) else ""
+        raise ValueError(f"base should have a method quantile(u){addition}, {name_and_place(base)} has none")
 
 
 class _Pairs:

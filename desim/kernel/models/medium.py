@@ -68,7 +68,7 @@ class Radio(Value):
     """When a node may transmit. With any model but `ideal`, all nodes contend for one channel, and frames that overlap
     interfere."""
     reception: Annotated[Interference, INTERFERENCES] = Collision()
-    """Which of the frames that overlap at a receiver it gets; no effect with `access.kind` "ideal"."""
+    """Which of several overlapping frames a receiver gets; no effect with `access.kind` "ideal"."""
 
     duty_cycle: Annotated[float, Field(ge=1e-6, le=1, strict=True)] | None = None
     """Largest share of the time that a node transmits, in [1e-6, 1]: after a frame of airtime T it is silent for T (1 /
@@ -193,7 +193,7 @@ class LoRa(Radio):
 
     kind: Literal["lora"] = "lora"
     spreading_factor: SpreadingFactor = 7
-    """SF: bits per symbol; a symbol takes 2^SF / bandwidth. Its gain in range is not modelled; set `range`.
+    """SF: bits per symbol; a symbol takes 2^SF / bandwidth. A gain in range by a large SF is not modelled: set `range`.
 
     If in doubt, 7: each step almost doubles the airtime.
     """
@@ -265,9 +265,9 @@ class LoRa(Radio):
         return LoRaSignal(factor, self.bandwidth, frequency, self.preamble)
 
     def _message_airtime(self, size: int, factor: int) -> float:
-        full, remainder = divmod(size, MAX_BYTES)
-        last = self._frame_airtime(remainder, factor) if remainder or not full else 0.0
-        return full * self._frame_airtime(MAX_BYTES, factor) + last
+        full_frames, remainder = divmod(size, MAX_BYTES)
+        last_airtime = self._frame_airtime(remainder, factor) if remainder or not full_frames else 0.0
+        return full_frames * self._frame_airtime(MAX_BYTES, factor) + last_airtime
 
     def _frame_airtime(self, size: int, factor: int) -> float:
         """Return the airtime, s, of one frame: preamble + 4.25 + payload, in symbols, times the duration of a symbol.
@@ -304,10 +304,10 @@ def airtimes(medium: Medium) -> Callable[[int, int], float]:
 
     The function raises ValueError as `airtime_of` does.
     """
-    of_node = MediumTraits.of(medium).airtime
-    if of_node is None or (is_ours(type(medium)) and not contends(medium)):  # then nodes do not differ
+    node_airtime = MediumTraits.of(medium).airtime
+    if node_airtime is None or (is_ours(type(medium)) and not contends(medium)):  # then nodes do not differ
         return lambda size, _: _checked(medium(size), medium)
-    return lambda size, node: _checked(of_node(size, node), medium)
+    return lambda size, node: _checked(node_airtime(size, node), medium)
 
 
 def _checked(airtime: Any, medium: Medium) -> float:

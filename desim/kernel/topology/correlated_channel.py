@@ -127,7 +127,7 @@ class CorrelatedChannel:
     def _shadowing_by_nodes(self, nodes: Nodes, at: Floats) -> Floats:
         """Return (k,) the shadowing by what surrounds nodes at their positions, with variance 1."""
         ends = Ends(nodes, nodes, at, at, 0.0)
-        phases = self._drawn(OF_NODE, 1, nodes, nodes) if self._kept_of_nodes is None else self._kept_of_nodes.of(nodes)
+        phases = self._draw(OF_NODE, 1, nodes, nodes) if self._kept_of_nodes is None else self._kept_of_nodes.of(nodes)
         rows = _turned(ends, phases.rotations, 1.0)[:2]
         return np.asarray(_sum(_phase(self._spectrum[:2], rows, phases.waves))[0])
 
@@ -167,20 +167,20 @@ class CorrelatedChannel:
         """Return the random numbers of processes of k pairs; keep those of a sender if there is room for all."""
         src = ends.src
         if not isinstance(src, int) or self._size**2 * processes * self._coherence.waves > ROOM:
-            return self._drawn(name, processes, src, ends.dst)
+            return self._draw(name, processes, src, ends.dst)
         key = name, processes, src
         phases = self._kept.get(key)
         if phases is None:
-            phases = self._kept[key] = self._drawn(name, processes, src, np.arange(self._size))
+            phases = self._kept[key] = self._draw(name, processes, src, np.arange(self._size))
         return phases.of(ends.dst)
 
     @cached_property
     def _kept_of_nodes(self) -> _Phases | None:
         """The random numbers of what surrounds each node; None: there are too many to keep them."""
         nodes = np.arange(self._size)
-        return self._drawn(OF_NODE, 1, nodes, nodes) if self._size * self._coherence.waves <= ROOM else None
+        return self._draw(OF_NODE, 1, nodes, nodes) if self._size * self._coherence.waves <= ROOM else None
 
-    def _drawn(self, name: str, processes: int, src: int | Integers, dst: Nodes) -> _Phases:
+    def _draw(self, name: str, processes: int, src: int | Integers, dst: Nodes) -> _Phases:
         """Return the random numbers of processes of k pairs: for each process three angles, then the waves."""
         rows = self._coherence.waves + 3
         count, links = rows * processes, len(dst)
@@ -226,9 +226,9 @@ def _sum(phases: Floats) -> Floats:
     """
     parts = cos_of_turns(phases)
     while (count := len(parts)) > 1:
-        kept = (count + 1) // 2
-        parts[: count - kept] += parts[kept:]
-        parts = parts[:kept]
+        half = (count + 1) // 2
+        parts[: count - half] += parts[half:]
+        parts = parts[:half]
     return np.asarray(parts[0] * math.sqrt(2.0 / len(phases)))
 
 

@@ -70,8 +70,8 @@ def _wkt_of_numbers(lines: list[str], file: Path) -> str:
         try:
             x, y = map(number_of, words)
         except ValueError as error:
-            why = str(error) if len(words) == 2 else f"a corner should have two numbers, x y (has {len(words)})"
-            raise ValueError(f"{file}, line {number}: {why}") from error
+            reason = str(error) if len(words) == 2 else f"a corner should have two numbers, x y (has {len(words)})"
+            raise ValueError(f"{file}, line {number}: {reason}") from error
         shapes[-1].append((x, y))
     return _wkt_of([_outline_of(corners) for corners in shapes if corners], file)
 
@@ -87,6 +87,6 @@ def _wkt_of(outlines: list[Outline], file: Path) -> str:
     check_outlines(outlines, f"{file}: ")
     texts: list[str] = []
     for corners, is_ring in outlines:
-        inner = ", ".join(f"{x!r} {y!r}" for x, y in ((*corners, corners[0]) if is_ring else corners))
-        texts.append(f"POLYGON (({inner}))" if is_ring else f"LINESTRING ({inner})")
+        points = ", ".join(f"{x!r} {y!r}" for x, y in ((*corners, corners[0]) if is_ring else corners))
+        texts.append(f"POLYGON (({points}))" if is_ring else f"LINESTRING ({points})")
     return "\n".join(texts)
