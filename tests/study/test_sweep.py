@@ -243,7 +243,7 @@ def test_runs_beyond_a_gap_are_not_looked_at(tmp_path):
     with closing(sqlite3.connect(path)) as database, database:
         database.execute("DELETE FROM runs WHERE replication BETWEEN 10 AND 19")
     with Store(path) as store:
-        assert len(module._wanted(SweepPlan.of(short, grid, 200), store, "active_time", 1e-6, ())) == 100
+        assert len(module._jobs_until(SweepPlan.of(short, grid, 200), store, "active_time", 1e-6, ())) == 100
 
 
 @pytest.mark.slow

@@ -69,10 +69,9 @@ def without_contention(scenario: Scenario) -> Scenario:
     )
     ideal = {"access": Ideal(), "reception": Collision(), "duty_cycle": None, "shared": True}
     network = scenario.network
-    is_only_latency = (
-        network.latency == Constant() and network.processing.receiver == 0.0 and not _has_own_latency(scenario)
-    )
-    processing = Processing() if is_only_latency else network.processing
+    has_other_latency = network.latency != Constant() or network.processing.receiver != 0.0
+    has_other_latency |= _has_own_latency(scenario)
+    processing = network.processing if has_other_latency else Processing()
     return _with_network(scenario, medium=medium.model_copy(update=ideal | no_contention), processing=processing)
 
 
@@ -96,9 +95,8 @@ def without_transport(scenario: Scenario) -> Scenario:
     best_effort = _with_network(scenario, transport=BestEffort())
     if DisseminationTraits.of(scenario.announce.dissemination).transport is None:
         return best_effort
-    return best_effort.model_copy(
-        update={"announce": scenario.announce.model_copy(update={"dissemination": one_hop()})}
-    )
+    announce = scenario.announce.model_copy(update={"dissemination": one_hop()})
+    return best_effort.model_copy(update={"announce": announce})
 
 
 def without_range(scenario: Scenario) -> Scenario:
@@ -135,9 +133,8 @@ def without_serial_decisions(scenario: Scenario) -> Scenario:
     if not isinstance(protocol, BaseModel) or schedule.without_serial_decisions is None or scenario.team.count == 1:
         return scenario
     try:
-        without_turns = type(protocol).model_validate(
-            {**dict(protocol), "schedule": schedule.without_serial_decisions()}
-        )
+        fields = {**dict(protocol), "schedule": schedule.without_serial_decisions()}
+        without_turns = type(protocol).model_validate(fields)
     except ValidationError:  # a user's protocol that accepts no other schedule keeps its turns
         return scenario
     announcements = scenario.announce.model_copy(update={"trigger": "both"} if schedule.spreads_to else {})

@@ -108,7 +108,8 @@ def of_grid(grid: Mapping[str, Sequence[Any]], scenario: Scenario) -> Mapping[st
     """Return features of a user: each key takes one of its values, or a number of its range.
 
     Raises:
-        ScenarioError: if the scenario takes none of the values of a key.
+        ScenarioError: if the scenario does not take a value of a key.
+        ArgumentError: if the values of a key are no list.
     """
 
     def draw_of(key: str, values: Sequence[Any]) -> Draw:

@@ -48,7 +48,7 @@ from desim.study.workers.progress import advance, progress
 from desim.study.workers.workers import Workers
 
 LIMIT = 5000
-"""The default of the greatest number of runs of each seed."""
+"""The default limit of the number of runs of each seed."""
 
 
 @naming_arguments
@@ -132,7 +132,7 @@ def _checked_fates(fates: Sequence[MessageFate], delay: float) -> tuple[MessageF
     """Return the fates, each once; without any, lost or, with a delay, late.
 
     Raises:
-        ValueError: if one does not exist, or lacks a delay.
+        ValueError: if a fate does not exist, or lacks a delay.
     """
     if not delay > 0.0:
         raise ArgumentError("delay", f"should be positive, s (got {delay:g})")
@@ -191,7 +191,7 @@ class _Choice(NamedTuple):
 
 
 _Key = frozenset[tuple[int, MessageFate]]
-"""A choice by the numbers of its messages."""
+"""A choice as pairs of the number of a message and its fate."""
 
 
 class _Report(NamedTuple):

@@ -133,7 +133,8 @@ class Search:
         """Return the reasons why the result of the search says little."""
         texts = [f"never seen: {sentence}" for sentence in SIGHTINGS if self.runs and not self.seen[sentence]]
         if self.runs and self.violation is None and self.closest >= prop.bound > 0.0:
-            texts.append(f"no case came near the bound: the least margin is {self.closest:g} s, all of the limit")
+            margin = f"{self.closest:g} {prop.unit}".rstrip()
+            texts.append(f"no case came near the bound: the least margin is {margin}, all of the limit")
         return texts
 
 

@@ -123,7 +123,7 @@ class Entrants:
     def runs(self, count: int) -> int:
         """Return the number of runs, at most, with `count` runs of each protocol in each scenario."""
         entrants = len(self.protocols) + (len(self.suite.protocols) + 1) * self.again
-        return max(2 * count * entrants * len(self.suite.scenarios), 1)
+        return max(2 * count * entrants * len(self.suite.scenarios), 1)  # each on its network and on a perfect one
 
     def variants(self, name: str) -> tuple[list[Configuration], list[NoPart]]:
         """Return the configurations of a scenario that run, and the protocols that cannot take part, with reasons."""

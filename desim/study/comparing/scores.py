@@ -129,7 +129,7 @@ class Benchmark(TabularResult):
         return len(next(iter(self.costs.values()))[REFERENCE][PERFECT])
 
     def apart(self, scenario: str) -> float:
-        """Return the distance of the bounds of a scenario in standard errors; inf if it is equal for all seeds."""
+        """Return the distance of the bounds of a scenario in standard errors; inf if it is the same for all seeds."""
         reference = self.frozen.get(scenario, self.costs[scenario])[REFERENCE]
         difference = estimate(reference[SILENT] - reference[PERFECT])
         if not difference.standard_error:
@@ -172,7 +172,7 @@ class Benchmark(TabularResult):
             return False
         difference = self.totals[best].score.minus(self.totals[name].score).estimate
         rivals = len(self.totals) - (OMNISCIENT in self.totals)
-        pairs = max(rivals * (rivals - 1), 1)  # ordered: the better one of two is not known before
+        pairs = max(rivals * (rivals - 1), 1)  # ordered pairs: the better one of two is not known before
         return difference.mean > 0.0 and difference.excludes_0(1.0 - 2.0 * RISK / pairs)
 
     def _score(self, name: str, scenario: str) -> Score:

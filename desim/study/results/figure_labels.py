@@ -50,8 +50,8 @@ def swept_numbers(result: SweepRuns) -> list[str]:
 def is_swept_number(result: SweepRuns, key: str) -> bool:
     """Return whether a key takes several numbers, at least one of them finite."""
     values = {group.settings[key] for group in result.groups}
-    numbers = all(map(is_number, values))
-    return numbers and len(values) > 1 and any(map(isfinite, values))
+    are_numbers = all(map(is_number, values))
+    return are_numbers and len(values) > 1 and any(map(isfinite, values))
 
 
 def metric_with_unit(

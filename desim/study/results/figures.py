@@ -133,7 +133,7 @@ def _panels(
 def _inches(size: str | None, rows: int, columns: int, configurations: int | None) -> tuple[float, float]:
     """Return the width and the height, inches, of a figure of a size (see `means`) with rows and columns of panels.
 
-    `configurations` is their number if each has a row of its own, else None.
+    `configurations` is the number of configurations if each has a row of its own, else None.
     """
     single_height = 4.0 if configurations is None else 1.2 + 0.3 * configurations
     default = (6.4, single_height) if rows * columns == 1 else (0.6 + 2.6 * columns, 0.6 + 2.2 * rows)
@@ -351,11 +351,11 @@ def _axis_positions(values: Sequence[float]) -> tuple[dict[float, float], bool]:
     On a logarithmic axis, 0 is drawn to the left of the other values. Infinity is always drawn to the right.
     """
     positive, logarithmic = [value for value in values if 0.0 < value < inf], is_wide(values)
-    inner = positive if logarithmic else [value for value in values if isfinite(value)]
-    places = {value: log10(value) if logarithmic else float(value) for value in inner}
-    low, high = places[inner[0]], places[inner[-1]]
+    on_scale = positive if logarithmic else [value for value in values if isfinite(value)]
+    places = {value: log10(value) if logarithmic else float(value) for value in on_scale}
+    low, high = places[on_scale[0]], places[on_scale[-1]]
     margin = 0.2 * (high - low) or 1.0
-    beyond = {value: low - margin if value < inner[0] else high + margin for value in values if value not in places}
+    beyond = {value: low - margin if value < on_scale[0] else high + margin for value in values if value not in places}
     return places | beyond, not logarithmic and not beyond
 
 

@@ -3,8 +3,8 @@
 It is procedure KN of Kim & Nelson 2001, "A Fully Sequential Procedure for Indifference-Zone Selection in Simulation",
 section 3.
 
-After `first` samples of each system, the procedure takes one more sample of each system that is left at a time. A
-system is dropped as soon as, after r samples, its mean is below that of another by more than
+After `first` samples of each system, the procedure adds one sample of each remaining system at a time. A system is
+dropped as soon as, after r samples, its mean is below that of another by more than
 W(r) = max(0, zone / (2 r) (h^2 S^2 / zone^2 - r)), where S^2 is the variance of the differences of the two in the first
 samples. The constant c of the paper is 1, its recommendation.
 
@@ -83,7 +83,7 @@ def check_confidence(confidence: float, systems: int) -> float:
     """Return the probability of a correct selection as a `float`.
 
     Raises:
-        ValueError: if it is not between 1/k, which a guess has, and 1.
+        ValueError: if `confidence` is not between 1/k, which a guess has, and 1.
     """
     confidence = real(confidence, "confidence")
     if not 1.0 / systems < confidence < 1.0:
@@ -96,7 +96,7 @@ def check_zone(zone: float, unit: str = "") -> float:
     """Return the indifference zone as a `float`.
 
     Raises:
-        ValueError: if it is not a positive number.
+        ValueError: if `zone` is not a positive number.
     """
     zone = real(zone, "zone")
     if not 0.0 < zone < inf:
@@ -109,7 +109,7 @@ def check_first(first: int, most: int | None = None) -> int:
     """Return the number of first samples of a system.
 
     Raises:
-        ValueError: if it is less than 2, or more than the largest number of samples.
+        ValueError: if `first` is less than 2, or more than the largest number of samples.
     """
     if (first := whole(first, "first")) < 2:
         raise ArgumentError("first", f"should be at least 2, to estimate a variance (got {first})")

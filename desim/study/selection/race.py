@@ -195,7 +195,11 @@ class _Samples:
         return all(isinstance(row.value(self._metric), bool) for row in self._rows.values())
 
     def _perform(self, systems: Sequence[int], replication: int) -> None:
-        """Perform the runs of a replication; with them all first runs, or as many later ones as busy the workers."""
+        """Perform the runs of a replication, and of some that follow.
+
+        With one of the first replications, all of the first are performed; with a later one, as many as keep the
+        workers busy.
+        """
         workers = self._workers.count
         ahead = max(1, AHEAD * workers // len(systems)) if workers > 1 else 1
         end = self._first if replication < self._first else replication + ahead

@@ -130,7 +130,8 @@ class RaceResult(TabularResult):
 
     def tables(self) -> list[Table]:
         """Return the table as its title and rows of text; the first row is the header."""
-        keys, lost = list(self.settings[0]), {dropped.system: dropped for dropped in self.selection.dropped}
+        keys = list(self.settings[0])
+        winners = {dropped.system: dropped.against for dropped in self.selection.dropped}
         means, differences = [self.mean_of(k) for k in self.order], [self.behind(k) for k in self.order[1:]]
         title = with_unit(words(self.metric), self.unit)
         rows = [("", *keys, title, "difference from the best", "runs", "dropped against")]
@@ -139,8 +140,8 @@ class RaceResult(TabularResult):
             behind = (
                 "" if not rank else with_half_width(differences[rank - 1], count, "+", digits=digits_of(differences))
             )
-            against = in_words(self.settings[lost[system].against]) if system in lost else ""
-            place = str(rank + 1) if system == self.selection.selected or system in lost else "left"
+            against = in_words(self.settings[winners[system]]) if system in winners else ""
+            place = str(rank + 1) if system == self.selection.selected or system in winners else "left"
             cells = (with_half_width(means[rank], count, digits=digits_of(means)), behind, str(count), against)
             rows.append((place, *map(text, self.settings[system].values()), *cells))
         seeds = "the same seeds" if self.common else "independent seeds"
@@ -181,7 +182,7 @@ class RaceResult(TabularResult):
 
     def document(self) -> dict[str, Any]:
         """Return the race as JSON-compatible values; None where undefined."""
-        lost = {dropped.system: dropped for dropped in self.selection.dropped}
+        dropped_by_system = {dropped.system: dropped for dropped in self.selection.dropped}
         return {
             "name": self.name,
             "metric": self.metric,
@@ -202,8 +203,10 @@ class RaceResult(TabularResult):
                     "settings": self._json_settings(system),
                     "mean": as_json(self.mean_of(system)),
                     "behind": as_json(self.behind(system)),
-                    "dropped_after": lost[system].after if system in lost else None,
-                    "dropped_against": self._json_settings(lost[system].against) if system in lost else None,
+                    "dropped_after": dropped_by_system[system].after if system in dropped_by_system else None,
+                    "dropped_against": self._json_settings(dropped_by_system[system].against)
+                    if system in dropped_by_system
+                    else None,
                 }
                 for system in self.order
             ],

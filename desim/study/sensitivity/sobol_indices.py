@@ -104,8 +104,7 @@ def bootstrap_ends(size: int) -> Floats:
 
     A resampled mean varies less than the mean, by the factor sqrt(1 - 1/n), and is normal instead of Student's t: for
     ten values, plain percentiles cover the mean in 90 % of cases instead of 95 %. Both factors therefore widen the
-    percentiles (the expanded interval of Hesterberg 2015, "What Teachers Should Know About the
-    Bootstrap").
+    percentiles (the expanded interval of Hesterberg 2015, "What Teachers Should Know About the Bootstrap").
     """
     from scipy.special import ndtr
 
