@@ -69,9 +69,8 @@ def without_contention(scenario: Scenario) -> Scenario:
     )
     ideal = {"access": Ideal(), "reception": Collision(), "duty_cycle": None, "shared": True}
     network = scenario.network
-    has_other_latency = network.latency != Constant() or network.processing.receiver != 0.0
-    has_other_latency |= _has_own_latency(scenario)
-    processing = network.processing if has_other_latency else Processing()
+    has_delays = network.latency != Constant() or network.processing.receiver != 0.0 or _has_own_latency(scenario)
+    processing = network.processing if has_delays else Processing()
     return _with_network(scenario, medium=medium.model_copy(update=ideal | no_contention), processing=processing)
 
 

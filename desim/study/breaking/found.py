@@ -57,12 +57,10 @@ def with_comment(
     `folder` is where the code that the scenario names was found; None: nowhere.
     """
     margin = f"margin:{prop.label}"
-    stated_scenario = scenario.with_(
-        {"seed": seed, "properties": [prop], "record.messages": True, "record.metrics": [margin]}
-    )
+    changes = {"seed": seed, "properties": [prop], "record.messages": True, "record.metrics": [margin]}
     statement = f"{prop.name}: {prop.text}" if prop.name else prop.text
     comment = "".join(f"# {' '.join(line.splitlines())}\n" for line in lines)
-    return f"{comment}\n{brief(stated_scenario, folder, properties=[statement])}"
+    return f"{comment}\n{brief(scenario.with_(changes), folder, properties=[statement])}"
 
 
 def _changes_text(changes: Mapping[str, Any]) -> str:

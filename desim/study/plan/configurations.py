@@ -359,11 +359,8 @@ def _with_cause(problem: Problem, affected: Sequence[Settings], source: Source, 
     key does not give this problem. If there is no cause, all settings of the first configuration are named. A problem
     with a key of the grid is returned unchanged if there is at most one cause.
     """
-    causes = {
-        key: value
-        for key, value in affected[0].items()
-        if _is_cause([settings[key] for settings in affected], grid[key])
-    }
+    first = affected[0].items()
+    causes = {key: value for key, value in first if _is_cause([each[key] for each in affected], grid[key])}
     swept = _swept_above(problem.key, grid)
     if swept is not None:
         problem = problem._replace(line=source.line(("sweep", "grid", swept)))

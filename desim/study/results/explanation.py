@@ -56,9 +56,8 @@ class Explanation(TabularResult):
         """
         try:
             costs = {str(metric): Cost.of(cost) for metric, cost in document["costs"].items()}
-            explanation = cls(
-                str(document["name"]), int(document["runs"]), int(document["failed"]), tuple(document["absent"]), costs
-            )
+            runs, failed = int(document["runs"]), int(document["failed"])
+            explanation = cls(str(document["name"]), runs, failed, tuple(document["absent"]), costs)
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise ValueError(f"is not an explanation: {type(error).__name__}: {error}") from error
         if not costs:
@@ -176,11 +175,11 @@ class Explanation(TabularResult):
     def _signs(self) -> str:
         """Return a note that says for each metric whether a positive cost is good or bad."""
         kinds = {"worse": "+ is worse", "better": "+ is better", None: "+ may be better or worse"}
-        named = {
+        metrics_by_text = {
             text: ", ".join(words(metric) for metric, cost in self.costs.items() if cost.more_is == kind)
             for kind, text in kinds.items()
         }
-        return "; ".join(f"{text}: {names}" for text, names in named.items() if names)
+        return "; ".join(f"{text}: {names}" for text, names in metrics_by_text.items() if names)
 
     def _interaction(self, metric: str, cost: Cost) -> Iterator[str]:
         """Yield the note on whether the parts of a cost interact, if the interaction is not 0 in every run."""

@@ -94,12 +94,10 @@ class Group:
         The two arrays hold the positions of the runs in `values` of this and of the other group. If seeds are common
         (`SweepRuns.common`), the two runs of a pair have the same seed.
         """
-        replications, other_replications = (group._table.replications.numbers() for group in (self, other))
-        if np.array_equal(replications, other_replications):  # the usual case; the general case takes much longer
-            return np.arange(len(replications)), np.arange(len(replications))
-        _, positions, other_positions = np.intersect1d(
-            replications, other_replications, assume_unique=True, return_indices=True
-        )
+        numbers, others = (group._table.replications.numbers() for group in (self, other))
+        if np.array_equal(numbers, others):  # the usual case; the general case takes much longer
+            return np.arange(len(numbers)), np.arange(len(numbers))
+        _, positions, other_positions = np.intersect1d(numbers, others, assume_unique=True, return_indices=True)
         return positions, other_positions
 
 

@@ -182,7 +182,7 @@ class RaceResult(TabularResult):
 
     def document(self) -> dict[str, Any]:
         """Return the race as JSON-compatible values; None where undefined."""
-        dropped_by_system = {dropped.system: dropped for dropped in self.selection.dropped}
+        losers = {dropped.system: dropped for dropped in self.selection.dropped}
         return {
             "name": self.name,
             "metric": self.metric,
@@ -203,10 +203,8 @@ class RaceResult(TabularResult):
                     "settings": self._json_settings(system),
                     "mean": as_json(self.mean_of(system)),
                     "behind": as_json(self.behind(system)),
-                    "dropped_after": dropped_by_system[system].after if system in dropped_by_system else None,
-                    "dropped_against": self._json_settings(dropped_by_system[system].against)
-                    if system in dropped_by_system
-                    else None,
+                    "dropped_after": losers[system].after if system in losers else None,
+                    "dropped_against": self._json_settings(losers[system].against) if system in losers else None,
                 }
                 for system in self.order
             ],
