@@ -44,12 +44,9 @@ PIECE = np.dtype(
         ("active", np.int32),  # action of the source as received: the evader that it chases, or 0
         ("presumed", np.bool_),  # whether the row is an initial belief instead of a record received
         ("begin", np.int64),  # time of arrival, ns; for an initial belief, the start of the run or the loss of memory
-        ("after", np.int64),  # trace position: an event at the time `begin` is in the period if its position is later
+        ("after", np.int64),  # trace position: the events at `begin` that are in the period are those after it
         ("until", np.int64),  # time at which a newer record arrived, the memory was lost or the run ended, ns
-        (
-            "before",
-            np.int64,
-        ),  # trace position: an event at the time `until` is in the period if its position is earlier
+        ("before", np.int64),  # trace position: the events at `until` that are in the period are those before it
         ("superseded", np.bool_),  # whether the arrival of a newer record ended the period
     ]
 )
@@ -79,7 +76,7 @@ def knowledge(result: Result) -> Pieces:
     announced, transmissions, receptions = _messages(result, len(profile), end)
     lives, size = _lives(result, receptions, end), len(profile)
     record_counts = transmissions.count[receptions.transmission]
-    # Too many rows if relays carry records back to their sources.
+    # Some of these rows stay unused if relays carry records back to their sources, or records arrive out of order.
     pieces, number = np.empty(len(lives.reader) * (size - 1) + record_counts.sum(), PIECE), 0
     for batch in lives.batches(size, record_counts):
         number += batch.fill(pieces[number:], announced, transmissions, receptions, profile)
@@ -244,6 +241,7 @@ def _messages(result: Result, size: int, end: int) -> tuple[_Announcements, _Tra
     records: list[Record] = []
     # (place in the trace, first record, number of records, number, number of receivers) of each transmission, flat
     transmissions: list[int] = []
+    # Receivers and arrival times, ns, of each transmission.
     nodes: list[tuple[int, ...]] = []
     arrivals: list[Iterable[int]] = []
     # For messages to one node: first record and number of records, by the identity of the body, which copies share.

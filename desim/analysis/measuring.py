@@ -32,7 +32,7 @@ UsersMetrics = tuple[tuple[str, Metric], ...]
 def summary(result: Result, metrics: Metrics = MappingProxyType({})) -> Summary:
     """Return all metrics of one run: the built-in ones, those that its scenario names, and those given.
 
-    If you need only one or two metrics, call their functions in this module.
+    If you need only one or two metrics, call their functions in `desim.analysis.metrics`.
 
     Args:
         result: the result of the run.
@@ -63,7 +63,7 @@ def _checked(name: str, metric: Metric, result: Result) -> bool | int | float | 
     """Return the value of a user's metric for a run; None instead of nan.
 
     Raises:
-        MetricError: if the metric raises an exception, or does not return a number, True, False or None.
+        MetricError: if the metric raises an exception, or returns another type or an integer that is too large.
     """
     where = f"metric {name!r} of {result.scenario.name!r} with seed {result.seed}"
     try:
@@ -113,14 +113,15 @@ def users_metrics(named: Sequence[NamedMetric], more: Metrics = MappingProxyType
 
 
 ONE_NAME = "metric should be the name of one metric, 'active_time' for instance"
+"""The message for several names, or a list of names."""
 
 
 def check_numeric(metric: str, added: Iterable[str] = ()) -> None:
     """Check that a name is that of a built-in metric with `is_number`, or one of the names in `added`.
 
     Raises:
-        NoMetricError: if it is not.
-        ValueError: if it is no name.
+        NoMetricError: if there is no such numeric metric.
+        ValueError: if the argument is not one name.
     """
     value: Any = metric  # a caller may give a list of names, or a function
     if not isinstance(value, str):

@@ -92,8 +92,9 @@ def judge(prop: Stated, result: Result) -> Judgement:
     measure_of_reference = None
     if reference is not None:
         measure_of_reference = worst_of(prop, trace_index(run(recording(reference, [prop]), result.seed))).measure
-    margin = prop.margin(worst.measure, measure_of_reference)
-    return Judgement(margin, worst.measure, seconds(worst.at), measure_of_reference)
+    return Judgement(
+        prop.margin(worst.measure, measure_of_reference), worst.measure, seconds(worst.at), measure_of_reference
+    )
 
 
 def stated(prop: Stated, scenario: Scenario) -> Property:

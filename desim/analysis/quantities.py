@@ -79,7 +79,7 @@ class Tally:
         return True
 
     def value(self, name: str, evader: int | None, now: int) -> float:
-        """Return the value of one of `WATCHED` now, a time in ns."""
+        """Return the value of a quantity in `WATCHED` at the present time, ns."""
         return float(getattr(self, name)(evader, now))
 
     def active(self, evader: int | None, _: int) -> int:
@@ -123,7 +123,7 @@ def _tallied(result: Result, keys: Collection[QuantityKey]) -> Mapping[QuantityK
         if tally(event):
             for key, steps in changes_by_key.items():
                 value = tally.value(*key, event.t)
-                # A quantity that rises may have risen, and fallen to the value of its last change.
+                # An equal value is a change if the quantity has risen since.
                 if not steps or steps[-1][1] != value or key[0] in RISING:
                     steps.append((event.t, value))
     return changes_by_key
@@ -272,6 +272,6 @@ def _least_margin(comparison: QuantityComparison, level: Level, begin: int, end:
         return comparison.margin(level.value)
     first, middle, last = (level.value + seconds(t - level.since) for t in (begin, (begin + end) // 2, end))
     least, holds = min(comparison.margin(first), comparison.margin(last)), comparison.holds(middle)
-    if (least >= 0.0) != holds:  # at an end of the piece, the comparison changes, so the margin there is 0
+    if (least >= 0.0) != holds:  # by rounding, at an end where the quantity reaches the number: the margin there is 0
         return 0.0 if holds else JUST_BELOW_0
     return least

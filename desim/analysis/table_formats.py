@@ -22,7 +22,7 @@ LATEX = {
     **{"^": r"\textasciicircum{}", "~": r"\textasciitilde{}", "<": r"\textless{}", ">": r"\textgreater{}"},
     **{"|": r"\textbar{}", '"': r"\textquotedbl{}"},
 }
-"""The commands for the characters that LaTeX reads as commands, or prints as others."""
+"""The LaTeX commands that print the characters which LaTeX reads as commands, or prints as other characters."""
 MARKDOWN = re.compile(r"([\\`*_{}\[\]<>#|~$])")
 """Matches the characters that Markdown, or mathematics in it, reads as commands."""
 INFINITE = {"inf": r"$\infty$", "-inf": r"$-\infty$"}
@@ -52,7 +52,7 @@ class TabularResult:
         """Return the first column that is aligned to the right."""
         return 1
 
-    def table(self, *, format: TableFormat = "text") -> str:  # noqa: A002 - the word of users
+    def table(self, *, format: TableFormat = "text") -> str:  # noqa: A002 - the clearest name for users
         """Return the tables and the notes: text, latex (booktabs) or markdown.
 
         Raises:
@@ -135,7 +135,7 @@ def _latex_cell(cell: str) -> str:
 
 
 def _latex_number(number: str) -> str:
-    """Return a number for the mathematics of LaTeX; braces keep the space after a thousands separator away."""
+    """Return a number for the mathematics of LaTeX, which would add a space after a comma without braces."""
     mantissa, e, exponent = number.replace(",", "{,}").partition("e")
     return rf"{mantissa} \times 10^{{{int(exponent)}}}" if e else mantissa
 

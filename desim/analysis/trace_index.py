@@ -23,6 +23,7 @@ class TraceIndex(Result):
     """The result of a finished run, with a cache of derived quantities."""
 
     derived: dict[Callable[[Result], Any], Any] = field(default_factory=dict, repr=False, compare=False)
+    """By function (see `remembered`), the value that it returned."""
 
 
 def trace_index(result: Result) -> TraceIndex:

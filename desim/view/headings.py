@@ -36,7 +36,7 @@ class Headings:
         self.players = tuple(headings)
         self._headings = list(headings.values())
         self._places: list[complex] = []
-        """The positions of `players` at the last sample, m."""
+        """The positions of `players` at the last sample, m; empty before the first sample."""
         self._t = 0
         self._environment, self._size = scenario.environment, team.count
 
@@ -45,7 +45,7 @@ class Headings:
         positions = [complex(x, y) for x, y in (*sample.pursuers, *sample.evaders)]
         places = [positions[k] for k in self.players]
         for k, (before, place) in enumerate(zip(self._places, places, strict=False)):
-            if place == before:  # also a captured player, which the flow does not carry
+            if place == before:  # a captured player stays, so subtracting the drift would turn it
                 continue
             drift = self._drift(self.players[k], (before + place) / 2.0, sample.t)
             motion = place - before - drift

@@ -25,7 +25,7 @@ from desim.analysis.drawing.palette import ACTIVE, ACTIVE_WITH_OTHERS, EVADER, I
 from desim.analysis.knowledge import Pieces, knowledge
 from desim.config.arguments import value_text
 from desim.config.model import Value
-from desim.kernel.core.events import LOST as NEVER
+from desim.kernel.core.events import LOST as NO_ARRIVAL
 from desim.kernel.core.events import Broadcast, Event, Lost, Sent, Trace
 from desim.kernel.core.trace_file import body_json
 from desim.kernel.core.units import SECOND, nanoseconds, seconds
@@ -161,7 +161,7 @@ class Scene:
                     yield _log(event.t, "run", f"ends: {event.reason}")
 
     def _start(self, event: Started) -> None:
-        """Take the first actions, and the size of the players, from the initial positions."""
+        """Set the actions, and the size of the players, which depends on the initial positions."""
         self._actions = list(event.active)
         places = [*event.pursuers, *event.evaders]
         extent = max(max(axis) - min(axis) for axis in zip(*places, strict=True))
@@ -198,8 +198,8 @@ class Scene:
         for name in self._places:
             kind, number = name.split()
             is_evader = kind == "evader"
-            evader_colour = _colour(EVADER, 0.4 if int(number) in self._captured else 1.0)
-            colour = evader_colour if is_evader else self._pursuer_colour(int(number), chasers)
+            k = int(number)
+            colour = self._evader_colour(k) if is_evader else self._pursuer_colour(k, chasers)
             size = dict.fromkeys("xyz", self._size)
             body = {"pose": _pose(DIAMOND if is_evader else UPRIGHT), "size": size, "color": colour}
             label: Message = {"pose": _pose(), "billboard": True, "font_size": 12.0, "scale_invariant": True}
@@ -207,6 +207,9 @@ class Scene:
             parts: dict[str, list[Message]] = {"cubes" if is_evader else "spheres": [body], "texts": [label]}
             players.append(_entity(t, name, parts, frame=name))
         return t, "/players", _scene(players)
+
+    def _evader_colour(self, evader: int) -> Message:
+        return _colour(EVADER, 0.4 if evader in self._captured else 1.0)
 
     def _pursuer_colour(self, pursuer: int, chasers: Mapping[int, int]) -> Message:
         """Return the colour of a pursuer, given the number of pursuers with each action."""
@@ -221,7 +224,7 @@ class Scene:
         for dst, arrival in event.fates():
             content = {"timestamp": _time(event.t), "transmission": event.transmission, "src": event.src, "dst": dst}
             content |= {"size": event.size, "body": body, "waited": seconds(event.t - event.created)}
-            if arrival != NEVER:
+            if arrival != NO_ARRIVAL:
                 lines.append(self._line(event, dst, arrival - event.t, IN_FLIGHT))
                 content["latency"] = seconds(arrival - event.t)
             yield event.t, "/messages", content

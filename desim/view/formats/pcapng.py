@@ -7,9 +7,8 @@ acknowledged message (`csma_ca`) is one packet at the end of the attempt that su
 
 A packet is UDP over IPv4 (LINKTYPE_RAW). Node i has the address 10.0.0.0 + i, the UDP payload has the size of the
 message, and the identification of the IP header is the number of the transmission modulo 65,536. The payload is zeros;
-the content of the message is in the comment of the packet, as JSON. Messages that are lost after the transmission has
-begun are in the file. Those that were dropped from a queue are not, nor are acknowledged ones of which no attempt
-succeeded.
+the content of the message is in the comment of the packet, as JSON. The file has all messages whose transmission began,
+even if they were lost, but not acknowledged messages of which no attempt succeeded.
 """
 
 import struct
@@ -102,7 +101,7 @@ def _packet_headers(event: Broadcast | Sent, dst: int) -> bytes:
     # Version 4 with 5 words, no type of service, length, identification, no fragments, time to live 1, UDP.
     start = struct.pack(">BBHHHBB", 0x45, 0, total, event.transmission & 0xFFFF, 0, 1, 17)
     words = struct.unpack(">10H", start + struct.pack(">HII", 0, *addresses))
-    # The complement of the sum of the words in ones' complement (RFC 1071).
+    # The complement of the sum of the words in ones' complement, which is the sum modulo 0xFFFF, but never 0 (RFC 1071).
     checksum = 0xFFFF - (portable_sum(words) % 0xFFFF or 0xFFFF)
     return start + struct.pack(">HII", checksum, *addresses) + struct.pack(">HHHH", PORT, PORT, datagram, 0)
 

@@ -15,7 +15,7 @@ from desim.view.pages.playground import Playground
 def answer_as_json(name: str, changes: Sequence[str]) -> str:
     """Return the JSON text of the answer to a change of an example; see `Playground.answer`.
 
-    The run is compared with that of the example as it is, which is drawn faint in the replay.
+    The run is compared with the run of the unchanged example, which is drawn faint in the replay.
 
     Args:
         name: the name of the example.

@@ -35,7 +35,7 @@ class Session:
         self._last: dict[str, Future[Any]] = {}
         """By page, the run that it requested last, until it ends."""
         self._comparisons: dict[str, object] = {}
-        """By page, an object that identifies its comparison; a comparison ends once its object is not here."""
+        """By page, an object that stands for its comparison; a comparison ends when its object is removed."""
 
     def warm_up(self) -> None:
         """Let the workers import what a run needs, and return without waiting for them."""
@@ -84,7 +84,7 @@ class Session:
         scenario = self.playground.scenario(now)
         self.playground.scenario(pinned)
         comparison = self._comparisons[page] = object()
-        seeds = list(seeds_from(scenario.seed, count))[::-1]
+        seeds = list(seeds_from(scenario.seed, count))[::-1]  # `pop` takes the last
         pending: set[Future[Any]] = set()
         pairs: list[tuple[Summary, Summary]] = []
         failures: list[str] = []
