@@ -141,12 +141,12 @@ def believed_leaders(result: Result) -> float:
     """
     end, beliefs, actions = ended(result).t, _beliefs(result), _true_actions(result)
     chases = beliefs.of(beliefs.active > 0)
-    # A step is the begin (1) or the end (-1) of a belief that a source chases an evader.
+    # A step is the begin (1) or the end (-1) of a belief that a source chases an evader. The sum of the steps is the
+    # number of other pursuers that the reader believes to chase the evader; after the last step of each pair, it is 0.
     reader, evader = np.tile(chases.reader, 2), np.tile(chases.active, 2)
     times, steps = np.append(chases.begin, chases.until), np.repeat([1, -1], len(chases.begin))
     order = np.lexsort((times, evader, reader))
-    # The sum of the steps of a reader and an evader ends at 0. Until the step after one with another sum, the reader
-    # knows of other pursuers of this evader.
+    # From each of these steps to the next, the reader knows of other pursuers of the evader.
     begins = np.flatnonzero(np.cumsum(steps[order]))
     spent = actions.time_spent(reader, evader, times)[order]
     active_time = int(actions.duration[actions.action > 0].sum())

@@ -77,7 +77,7 @@ class ControlledEstimate(Estimate):
 
     @property
     def others(self) -> float | None:
-        """None: values that are all equal are not corrected."""
+        """None: the bound is one for values that are not corrected."""
         return None
 
     @property
@@ -92,7 +92,7 @@ class ControlledEstimate(Estimate):
 
     @property
     def helps(self) -> bool:
-        """Whether the control is worth more than some more runs; see `USELESS`."""
+        """Whether the control is worth clearly more runs than there are pairs; see `USELESS`."""
         return self.worth > USELESS * self.count
 
     def half_width_at(self, confidence: float) -> float:
@@ -111,7 +111,7 @@ def control_variate(
     Args:
         values: (n,) values of independent runs.
         paired: (n,) the control in the same runs, with the same random numbers.
-        others: (m,) the control in other runs, independent of these.
+        others: (k,) the control in other runs, independent of these.
 
     Raises:
         ValueError: if the lengths of pairs differ, there are too few runs, a value is missing or infinite, or the

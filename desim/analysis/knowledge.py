@@ -126,6 +126,7 @@ class _Receptions:
         count, first = transmissions.count[self.transmission], transmissions.first[self.transmission]
         if (count == 1).all():  # usual without relays
             return np.arange(len(count)), first
+        # The records of a reception are successive: `first`, `first` + 1, ...
         reception = np.repeat(np.arange(len(count)), count)
         return reception, np.arange(len(reception)) + (first - np.cumsum(count) + count)[reception]
 

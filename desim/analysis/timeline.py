@@ -41,8 +41,8 @@ class RelativePlaces:
         scenario: the scenario of the run.
 
     Attributes:
-        are_known: (N + M,) whether the position of each player is known relative to the medium, or the flow does
-            not carry it.
+        are_known: (N + M,) whether the position relative to the medium is known; always for players that the flow does
+            not carry.
         error: upper bound of the error of a position, m, because the simulated flow is constant within a motion step.
     """
 

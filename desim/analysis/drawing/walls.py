@@ -34,6 +34,6 @@ def draw_walls(axes: Axes, walls: Sequence[Wall]) -> None:
 
 
 def _oriented(ring: WallShape, rings: Sequence[WallShape]) -> Path:
-    """Return a ring that runs to the left, or to the right around a hole, so that holes are not filled."""
+    """Return a ring with its solid side on the left: holes run in the other direction, so that they are not filled."""
     corners = ring.corners if solid_side(ring, rings) == "left" else ring.corners[::-1]
     return Path(np.vstack([corners, corners[:1]]), closed=True)

@@ -104,7 +104,7 @@ def _reason(error: ValidationError, exporter: Any) -> str:
     """Return the text of the first error in the choice of an exporter."""
     first = error.errors()[0]
     name = exporter["kind"] if isinstance(exporter, dict) and "kind" in exporter else value_text(exporter)
-    key = ".".join(str(part) for part in first["loc"][1:] if part != name)
+    key = ".".join(str(part) for part in first["loc"][1:] if part != name)  # `loc` is "exporter", the kind, the key
     if first["type"] == "union_tag_invalid":
         kinds = list(EXPORTERS.choices())
         return f"there is no exporter {name}{did_you_mean(name, kinds)}; there are {', '.join(kinds)} and module:Name"

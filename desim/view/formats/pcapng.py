@@ -101,7 +101,7 @@ def _packet_headers(event: Broadcast | Sent, dst: int) -> bytes:
     # Version 4 with 5 words, no type of service, length, identification, no fragments, time to live 1, UDP.
     start = struct.pack(">BBHHHBB", 0x45, 0, total, event.transmission & 0xFFFF, 0, 1, 17)
     words = struct.unpack(">10H", start + struct.pack(">HII", 0, *addresses))
-    # The complement of the sum of the words in ones' complement, which is the sum modulo 0xFFFF, but never 0 (RFC 1071).
+    # The complement of the sum of the words in ones' complement: the sum modulo 0xFFFF, but never 0 (RFC 1071).
     checksum = 0xFFFF - (portable_sum(words) % 0xFFFF or 0xFFFF)
     return start + struct.pack(">HII", checksum, *addresses) + struct.pack(">HHHH", PORT, PORT, datagram, 0)
 

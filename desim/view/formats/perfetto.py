@@ -111,10 +111,9 @@ def _slices(result: Result) -> Iterator[Entry]:
             name = f"chases {evader}" if several else "active"
             yield _entry("X", name, FIRST + pursuer, begin, cat="chase", dur=_microseconds(end - begin))
     for k, (fault, (begin, end)) in enumerate(outages(result)):
-        ends: dict[str, Any] = {"cat": "fault", "id": f"fault {k}"}
-        name = fault.label
-        yield _entry("b", name, TEAM, begin, **ends, args={"fault": fault.plain()})
-        yield _entry("e", name, TEAM, end, **ends)
+        shared: dict[str, Any] = {"cat": "fault", "id": f"fault {k}"}
+        yield _entry("b", fault.label, TEAM, begin, **shared, args={"fault": fault.plain()})
+        yield _entry("e", fault.label, TEAM, end, **shared)
 
 
 def _instants(result: Result) -> Iterator[Entry]:
@@ -140,7 +139,7 @@ def _instants(result: Result) -> Iterator[Entry]:
 
 
 def _transport(result: Result) -> Iterator[Entry]:
-    """Yield an instant for each message that a transport repeated, gave up or dropped, or that a receiver missed."""
+    """Yield an instant for each event of a transport; see `OF_TRANSPORT`."""
     for event in result.trace:
         if type(event) in OF_TRANSPORT:
             pursuer, name = OF_TRANSPORT[type(event)]

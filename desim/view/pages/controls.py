@@ -173,7 +173,7 @@ def _needs_file(model: type[BaseModel] | None) -> bool:
 
 
 def _example(field: FieldInfo) -> str:
-    """Return an example of a pair of numbers, or of a list of pairs or texts; "" for other values."""
+    """Return an example of a pair of numbers, or of a list of pairs or numbers; "" for other values."""
     for kind in _types(field.annotation):
         items = get_args(kind) if get_origin(kind) is tuple else ()
         if list(map(_is_number, items)) == [True, True]:

@@ -82,7 +82,7 @@ class Playground:
         return _result(_Request(cloudpickle.dumps((self, tuple(changes))), self, changes))
 
     def answer(self, now: Changes, pinned: Changes | None) -> Answer:
-        """Run the scenario and return all that is shown of it.
+        """Run the scenario and return the content of the page.
 
         Args:
             now: the changes of the run that is shown.
@@ -103,13 +103,13 @@ class Playground:
         shown = {"controls": [asdict(control) for control in controls(scenario)], "texts": self.texts(now)}
         try:
             result, other = self.result(now), None if pinned is None else self.result(pinned)
-            is_other = pinned is not None and sorted(pinned) != sorted(now)
+            is_changed = pinned is not None and sorted(pinned) != sorted(now)
             named_metrics = named_metrics_of(scenario)
             with within(self.timeout):
                 return json_answer(
                     shown
                     | {
-                        "page": replay_page(result, other if is_other else None),
+                        "page": replay_page(result, other if is_changed else None),
                         "metrics": list(
                             compared_metrics(summary(result), None if other is None else summary(other), named_metrics)
                         ),
@@ -144,7 +144,10 @@ class Playground:
             return [asdict(control) for control in controls(source.tables)]
 
     def texts(self, changes: Changes) -> dict[str, str]:
-        """Return the scenario with changes as the text of a file, as a command, and as a program."""
+        """Return the scenario with changes as the text of a file, as a command, and as a program.
+
+        Without a file, the text for a new file contains the changes, and the command and the program run this file.
+        """
         source = self.changed(changes)
         file = str(self.file or f"{self.name}.toml")
         allow = ["--allow-import"] if self.file is not None and self.base.allow_import else []
