@@ -38,7 +38,7 @@ function drawBackdrop() {
   const faults = faultLanes(c), gutter = axisLeft() - 6;
   document.documentElement.style.setProperty("--lanes", `${faults.height + LANE * M}px`);
   const bottom = h - 16, tickHeight = 22, lossHeight = messages?.losses.length ? 9 : 0;
-  const available = bottom - 3 - tickHeight - lossHeight - faults.height - LANE * M, upper = messages ? available * .55 : available, lower = messages ? available - upper - 5 : 0;
+  const available = bottom - 3 - tickHeight - lossHeight - faults.height - LANE * M, activeHeight = messages ? available * .55 : available, flightHeight = messages ? available - activeHeight - 5 : 0;
   const names = [];  // text, y of its baseline
   c.font = `11px ${FONT}`; c.textBaseline = "alphabetic";
   c.strokeStyle = colour.line; c.fillStyle = colour.soft; c.textAlign = "center"; c.lineWidth = 1;
@@ -51,7 +51,7 @@ function drawBackdrop() {
   // Active pursuers. The scale reaches at least two, so that one does not look like all. With several evaders, their lanes show who is alone.
   const ghostSteps = $("other")?.checked ? [...ghost.t].map((t, k) => [t, ghost.count[k]]).filter(([t]) => t <= END) : [];
   const maxCount = [...changes.count, ...ghostSteps.map(entry => entry[1])].reduce((most, entry) => Math.max(most, entry), Math.max(changes.first, Math.min(N, 2)));
-  const level = n => 3 + upper - (upper - 6) * n / maxCount;
+  const level = n => 3 + activeHeight - (activeHeight - 6) * n / maxCount;
   const steps = [[0, changes.first], ...changes.t.map((t, k) => [t, changes.count[k]]), [END, 0]];
   for (let k = 0; k + 1 < steps.length; k++) {
     const [[from, count], [to]] = [steps[k], steps[k + 1]];
@@ -61,24 +61,24 @@ function drawBackdrop() {
   c.globalAlpha = 1;
   if (ghostSteps.length) drawGhostSteps(c, ghostSteps, level);
   drawScale(c, gutter, level, level(1) - level(maxCount) > 9 ? [1, maxCount] : [maxCount]);
-  names.push(["active", 3 + upper / 2 + 3]);
+  names.push(["active", 3 + activeHeight / 2 + 3]);
   if (messages) {
-    const floor = 3 + upper + 5 + lower, counts = [];
+    const floor = 3 + activeHeight + 5 + flightHeight, counts = [];
     for (let x = 0; x <= axisWidth(); x++) counts.push(inFlight(x / axisWidth() * END));
-    const most = counts.reduce((a, b) => Math.max(a, b), 1), height = n => floor - (lower - 3) * n / most;
+    const maxInFlight = counts.reduce((a, b) => Math.max(a, b), 1), height = n => floor - (flightHeight - 3) * n / maxInFlight;
     c.fillStyle = colour.inFlight; c.globalAlpha = .7; c.beginPath(); c.moveTo(axisLeft(), floor);
     counts.forEach((n, x) => c.lineTo(axisLeft() + x, height(n)));
     c.lineTo(axisLeft() + axisWidth(), floor); c.closePath(); c.fill();
     c.globalAlpha = 1;
-    if (messages.ends.length) drawScale(c, gutter, height, [most]);
+    if (messages.ends.length) drawScale(c, gutter, height, [maxInFlight]);
     c.fillStyle = colour.lost;
-    for (let x = 0, before = 0; x <= axisWidth(); x++) {
-      const now = lostBy(x / axisWidth() * END);
-      if (now > before) { c.globalAlpha = Math.min(.35 + (now - before) / 10, 1); c.fillRect(axisLeft() + x, floor + 3, 1, 5); }
-      before = now;
+    for (let x = 0, lostBefore = 0; x <= axisWidth(); x++) {
+      const lostSoFar = lostBy(x / axisWidth() * END);
+      if (lostSoFar > lostBefore) { c.globalAlpha = Math.min(.35 + (lostSoFar - lostBefore) / 10, 1); c.fillRect(axisLeft() + x, floor + 3, 1, 5); }
+      lostBefore = lostSoFar;
     }
     c.globalAlpha = 1;
-    names.push(["in flight", floor - lower / 2 + 3]);
+    names.push(["in flight", floor - flightHeight / 2 + 3]);
     if (lossHeight) names.push(["lost", floor + 9]);
   }
   const middle = bottom - faults.height - LANE * M - tickHeight / 2;
@@ -93,11 +93,11 @@ function drawBackdrop() {
   names.push(["decisions", middle + 3]);
   if (M > 1) drawChaserCounts(c, bottom - faults.height - LANE * M);
   c.fillStyle = colour.ink;
-  const inLane = evader => bottom - faults.height - LANE * (M - evader + .5);
-  if (LANE > 9) for (const evader of evaders) names.push([`evader ${evader}`, inLane(evader) + 4]);
-  else if (LANE) names.push(["evaders", inLane(M / 2 + .5) + 4]);
+  const laneMiddle = evader => bottom - faults.height - LANE * (M - evader + .5);
+  if (LANE > 9) for (const evader of evaders) names.push([`evader ${evader}`, laneMiddle(evader) + 4]);
+  else if (LANE) names.push(["evaders", laneMiddle(M / 2 + .5) + 4]);
   relays.t.forEach((t, k) => {
-    const [x, y, r] = M > 1 ? [xOf(t), inLane(relays.evader[k]), Math.min(4, LANE / 3)] : [xOf(t), middle, 4];
+    const [x, y, r] = M > 1 ? [xOf(t), laneMiddle(relays.evader[k]), Math.min(4, LANE / 3)] : [xOf(t), middle, 4];
     c.beginPath(); c.moveTo(x, y - 1.25 * r); c.lineTo(x + r, y); c.lineTo(x, y + 1.25 * r); c.lineTo(x - r, y); c.fill();
   });
   const top = bottom - faults.height;
@@ -112,7 +112,7 @@ function drawBackdrop() {
     c.fillText(faultLabel(fault), faults.texts[k], y + faults.laneHeight - 4);
   });
   if (run.faults.length) names.push(["faults", top + (faults.areNamed ? NAMED : faults.height) / 2 + 4]);
-  if (M > 1) for (const { t, evader } of run.captures) { c.fillStyle = colour.ink; star(c, xOf(t), inLane(evader), 6); c.fill(); }
+  if (M > 1) for (const { t, evader } of run.captures) { c.fillStyle = colour.ink; star(c, xOf(t), laneMiddle(evader), 6); c.fill(); }
   else if (run.captures.length) {  // the evader's diamond at the end
     c.fillStyle = colour.evader; c.beginPath();
     c.moveTo(xOf(END), middle - 6); c.lineTo(xOf(END) + 6, middle); c.lineTo(xOf(END), middle + 6); c.lineTo(xOf(END) - 6, middle); c.fill();
@@ -122,13 +122,13 @@ function drawBackdrop() {
 }
 /** The number of active pursuers of the other run, dashed, up to its end. */
 function drawGhostSteps(c, steps, level) {
-  const over = Math.min(ghost.end, END);
+  const shownEnd = Math.min(ghost.end, END);
   c.save();
   c.strokeStyle = colour.ink; c.lineWidth = 1.3; c.setLineDash([4, 3]);
   c.beginPath(); c.moveTo(xOf(0), level(steps[0][1]));
   steps.forEach(([t, count], k) => { c.lineTo(xOf(t), level(steps[Math.max(k - 1, 0)][1])); c.lineTo(xOf(t), level(count)); });
-  c.lineTo(xOf(over), level(steps.at(-1)[1]));
-  if (ghost.end <= END) c.lineTo(xOf(over), level(0));
+  c.lineTo(xOf(shownEnd), level(steps.at(-1)[1]));
+  if (ghost.end <= END) c.lineTo(xOf(shownEnd), level(0));
   c.stroke();
   c.restore();
 }
@@ -143,16 +143,16 @@ function drawScale(c, gutter, level, marks) {
 /** A lane for each evader: the number of pursuers on it, capped at 3, until its capture. */
 function drawChaserCounts(c, top) {
   const height = count => (LANE - 3) * Math.min(count, 3) / 3;
-  chaserCounts.forEach((hunt, k) => {
-    const floor = top + LANE * (k + 1) - 1, over = run.captures.find(capture => capture.evader === k + 1)?.t ?? END;
-    const steps = [[0, hunt.first], ...hunt.t.map((t, n) => [t, hunt.count[n]]).filter(entry => entry[0] < over), [over, 0]];
+  chaserCounts.forEach((counts, k) => {
+    const floor = top + LANE * (k + 1) - 1, captureTime = run.captures.find(capture => capture.evader === k + 1)?.t ?? END;
+    const steps = [[0, counts.first], ...counts.t.map((t, n) => [t, counts.count[n]]).filter(entry => entry[0] < captureTime), [captureTime, 0]];
     c.globalAlpha = .8;
     for (let n = 0; n + 1 < steps.length; n++) {
       const [[from, count], [to]] = [steps[n], steps[n + 1]];
       c.fillStyle = count === 1 ? colour.active : colour.activeWithOthers;
       c.fillRect(xOf(from), floor - height(count), xOf(to) - xOf(from), height(count));
     }
-    c.globalAlpha = 1; c.strokeStyle = colour.inactive; c.lineWidth = 1; c.beginPath(); c.moveTo(xOf(0), floor + .5); c.lineTo(xOf(over), floor + .5); c.stroke();
+    c.globalAlpha = 1; c.strokeStyle = colour.inactive; c.lineWidth = 1; c.beginPath(); c.moveTo(xOf(0), floor + .5); c.lineTo(xOf(captureTime), floor + .5); c.stroke();
   });
 }
 function drawAxis() {

@@ -9,7 +9,7 @@ function readColours() {
   look++;
   sprites.clear();
 }
-let look = 0;  // counts the changes of the theme and of the sizes of canvases
+let look = 0;  // counts the changes of the theme, and of the sizes of canvases
 const sprites = new Map();
 const DARK = "#1c2024";  // on light blue, in either theme
 const FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif";
@@ -26,6 +26,7 @@ function surface(canvas) {
   return box;
 }
 const arena = surface($("arena")), axis = surface($("axis")), board = surface($("matrix"));
+/** The part of the plane that is shown without zoom: its centre, width and height, m. */
 const extent = (() => {
   let [left, right, low, high] = [Infinity, -Infinity, Infinity, -Infinity];
   const include = (x, y) => { left = Math.min(left, x); right = Math.max(right, x); low = Math.min(low, y); high = Math.max(high, y); };
@@ -40,7 +41,8 @@ const extent = (() => {
   const size = Math.max(right - left, high - low, 10 * run.radius, 1e-3);
   return { x: (left + right) / 2, y: (low + high) / 2, width: Math.max(right - left, size / 3), height: Math.max(high - low, size / 3) };
 })();
-let scale = 1, originX = 0, originY = 0;
+let scale = 1, originX = 0, originY = 0;  // px per m; the position of x = y = 0 on the canvas
+const MAX_RADIUS = 20000;  // px: the edge of a larger circle is off the canvas, or too flat to be drawn as an arc
 const px = x => originX + x * scale, py = y => originY - y * scale;
 const niceStep = rough => {
   const power = 10 ** Math.floor(Math.log10(rough)), lead = rough / power;
@@ -72,7 +74,7 @@ function drawArena() {
   c.setTransform(ratio, 0, 0, ratio, 0, 0);
   c.clearRect(0, 0, w, h);
   const edge = 30, fitScale = Math.max(Math.min((w - 2 * edge) / extent.width, (h - 2 * edge - 34) / extent.height), 1e-6);
-  scale = fitScale * zoom;
+  scale = fitScale * zoom;  // there are 34 px more than the edges, most of them at the top, for the options
   const evader = player(watched()), x = zoom > 1 ? X[evader] : extent.x, y = zoom > 1 ? Y[evader] : extent.y;
   originX = w / 2 - x * scale;
   originY = (h + 24) / 2 + y * scale;
@@ -144,15 +146,15 @@ function flowAt(x, y) {
     return (1 - share) * mean(sample) + share * mean(next);
   });
 }
-const EVERY = 54;  // distance of the arrows of a flow, px; the longest are half as long
+const ARROW_SPACING = 54;  // distance of the arrows of a flow, px; the longest are half as long
 function drawFlow(c, w, h) {
-  const step = EVERY / scale;
+  const step = ARROW_SPACING / scale;
   c.strokeStyle = colour.delivered; c.lineWidth = 1.2; c.globalAlpha = .6;
   c.beginPath();
-  for (let x = Math.ceil(-originX / EVERY) * step; px(x) < w; x += step) for (let y = Math.ceil((originY - h) / EVERY) * step; py(y) > 0; y += step) {
+  for (let x = Math.ceil(-originX / ARROW_SPACING) * step; px(x) < w; x += step) for (let y = Math.ceil((originY - h) / ARROW_SPACING) * step; py(y) > 0; y += step) {
     const velocity = flowAt(x, y), speed = velocity && Math.hypot(...velocity);
     if (!speed) continue;
-    const length = EVERY / 2 * speed / flow.top, [ux, uy] = [velocity[0] / speed, -velocity[1] / speed], tip = Math.min(length / 2, 5);
+    const length = ARROW_SPACING / 2 * speed / flow.top, [ux, uy] = [velocity[0] / speed, -velocity[1] / speed], tip = Math.min(length / 2, 5);
     const [fromX, fromY] = [px(x) - ux * length / 2, py(y) - uy * length / 2], [toX, toY] = [fromX + ux * length, fromY + uy * length];
     c.moveTo(fromX, fromY); c.lineTo(toX, toY);
     c.moveTo(toX - tip * (ux - .7 * uy), toY - tip * (uy + .7 * ux)); c.lineTo(toX, toY); c.lineTo(toX - tip * (ux + .7 * uy), toY - tip * (uy - .7 * ux));
@@ -169,13 +171,13 @@ function shownEstimates() {
   }
   return rows;
 }
-const WITHIN = Math.sqrt(-2 * Math.log(.05));  // 95 % of a normal distribution in the plane are within as many standard deviations
+const DEVIATIONS = Math.sqrt(-2 * Math.log(.05));  // number of standard deviations of an ellipse with 95 % of a normal distribution
 function drawEstimates(c) {
   for (const k of shownEstimates()) {
     const x = px(estimates.centres[2 * k]), y = py(estimates.centres[2 * k + 1]), pursuer = estimates.pursuer[k];
-    const [major, minor] = [0, 1].map(axis => WITHIN * scale * estimates.semiAxes[2 * k + axis]);
-    if (major > 20000) continue;
-    c.strokeStyle = c.fillStyle = pursuer === focus() ? colour.ink : chasersOn[truth[pursuer]] === 1 ? colour.active : colour.activeWithOthers;
+    const [major, minor] = [0, 1].map(axis => DEVIATIONS * scale * estimates.semiAxes[2 * k + axis]);
+    if (major > MAX_RADIUS) continue;
+    c.strokeStyle = c.fillStyle = pursuer === focus() ? colour.ink : pursuersOn[truth[pursuer]] === 1 ? colour.active : colour.activeWithOthers;
     c.lineWidth = 1.5;
     c.beginPath(); c.ellipse(x, y, major, minor, -estimates.turn * estimates.angles[k], 0, 2 * Math.PI);
     c.globalAlpha = .08; c.fill();
@@ -237,7 +239,7 @@ function drawLinks(c) {
   c.setLineDash([5, 4]); c.globalAlpha = .75;
   drawArrows(c, receiversOnly.map(j => [from, j, false]), 10);
 }
-const isRangeShown = () => run.reception.radius !== null && run.reception.radius * scale <= 20000;
+const isRangeShown = () => run.reception.radius !== null && run.reception.radius * scale <= MAX_RADIUS;
 const rangesShown = () => (focus() >= 0 ? [focus()] : all.filter(i => truth[i]).slice(0, 3)).filter(i => !down[i]);
 function drawRanges(c) {
   if (!isRangeShown()) return;
@@ -254,7 +256,7 @@ function drawRanges(c) {
 }
 function drawSight(c) {
   const r = run.sensing_range * scale, from = focus();
-  if (r > 20000) return;
+  if (r > MAX_RADIUS) return;
   c.fillStyle = c.strokeStyle = colour.inactive; c.lineWidth = 1;
   c.beginPath();
   for (const i of all) { c.moveTo(px(X[i]) + r, py(Y[i])); c.arc(px(X[i]), py(Y[i]), r, 0, 2 * Math.PI); }
@@ -483,7 +485,7 @@ function drawPlayers(c, w) {
   const partitions = openCuts.map(cut => ({ cut, first: (letterCount += cut.groups.length) - cut.groups.length }));
   for (let pass = 0; pass < 2; pass++) for (let i = 0; i < N; i++) if (!!truth[i] === !!pass) {  // active pursuers on top
     const x = px(X[i]), y = py(Y[i]);
-    const isAlone = chasersOn[truth[i]] === 1;
+    const isAlone = pursuersOn[truth[i]] === 1;
     drawNose(c, i, x, y, size, !truth[i] ? colour.inactive : isAlone ? colour.active : colour.activeWithOthers);
     if (N <= MANY) { drawDisc(c, x, y, size, truth[i], isAlone); if (wrongAbout[i]) drawErrors(c, x, y, size, wrongAbout[i] / (N - 1)); }
     else {
@@ -608,7 +610,7 @@ function drawNames(c, size, isLettered) {
   drawn.labels = 0;
   const from = focus(), pad = from >= 0 ? 10 : 4, high = isLettered ? size + 17 : size;
   const half = i => i < N || M === 1 ? size : 11, above = i => i < N ? high : half(i);
-  if (N > MANY && from < 0 && N - chasersOn[0] > FEW) return;
+  if (N > MANY && from < 0 && N - pursuersOn[0] > FEW) return;
   const occupied = [...X].map((x, i) => [px(x) - half(i), py(Y[i]) - above(i), px(x) + half(i), py(Y[i]) + half(i)]);
   if (M > 1) for (const evader of capturerOf.keys()) {
     const x = px(X[player(evader)]), y = py(Y[player(evader)]);
@@ -616,7 +618,7 @@ function drawNames(c, size, isLettered) {
   }
   const isFree = ([left, top, right, bottom]) => occupied.every(other => right <= other[0] || left >= other[2] || bottom <= other[1] || top >= other[3]);
   const priority = i => 2 * (i === from) + !!truth[i];
-  const labelled = N <= MANY ? [...all] : all.filter(i => i === from || (truth[i] && N - chasersOn[0] <= FEW));
+  const labelled = N <= MANY ? [...all] : all.filter(i => i === from || (truth[i] && N - pursuersOn[0] <= FEW));
   for (const i of labelled.sort((i, j) => priority(j) - priority(i))) {
     const width = 7 * `${i}`.length, box = k => {
       const [h, v] = SLOTS[k], x = px(X[i]) + h * (size + pad) - (h < 0 ? width : 0), y = py(Y[i]) + v * size;

@@ -7,7 +7,7 @@ const truth = new Uint16Array(N), received = new Uint16Array(N * N);  // actions
 const wrongAbout = new Uint16Array(N);  // by pursuer, the number of teammates with a wrong belief about it
 const down = new Uint8Array(N), deaf = new Uint8Array(N), lies = new Uint8Array(N);  // crashed, jammed, with a Byzantine fault
 const distrusts = new Uint8Array(suspicion ? N * N : 0);
-const chasersOn = new Uint16Array(M + 1);  // number of pursuers on each evader
+const pursuersOn = new Uint16Array(M + 1);  // number of pursuers on each evader
 let openFaults = [], openCuts = [], openJams = [], capturerOf = new Map();  // by evader
 let nextDecision = 0, nextBelief = 0, shownTime = -1, wrongCount = 0, drawn = { flying: 0, lost: 0, delivered: 0 }, frames = 0;
 let version = 0;  // counts the changes of actions, beliefs, faults and trust: the matrix is drawn anew only if it has changed
@@ -24,7 +24,7 @@ function countWrong(j, wasWrong, isWrong) {
 function setAction(j, action) {
   if (truth[j] === action) return;
   if (belief) for (let i = 0; i < N; i++) if (i !== j) countWrong(j, believed(i, j) !== truth[j], believed(i, j) !== action);
-  chasersOn[truth[j]]--; chasersOn[action]++;
+  pursuersOn[truth[j]]--; pursuersOn[action]++;
   truth[j] = action;
   version++;
 }
@@ -36,9 +36,9 @@ function setBelief(i, j, value) {
 }
 function resetState() {
   truth.set(run.active); received.fill(UNHEARD); nextDecision = nextBelief = 0; version++;
-  chasersOn.fill(0); wrongAbout.fill(0); wrongCount = 0;
+  pursuersOn.fill(0); wrongAbout.fill(0); wrongCount = 0;
   for (let j = 0; j < N; j++) {  // nothing is known yet, so all teammates of an active pursuer are wrong about it
-    chasersOn[truth[j]]++;
+    pursuersOn[truth[j]]++;
     if (belief && truth[j]) { wrongAbout[j] = N - 1; wrongCount += N - 1; }
   }
 }

@@ -74,7 +74,7 @@ function drawShadows(c, w, h) {
   if (from === undefined) return;
   const radius = run.reception.radius ?? Infinity, far = Math.min(radius, 4 * Math.hypot(w, h) / scale);
   c.beginPath();
-  if (radius * scale <= 20000) c.arc(px(X[from]), py(Y[from]), radius * scale, 0, 7); else c.rect(0, 0, w, h);
+  if (radius * scale <= MAX_RADIUS) c.arc(px(X[from]), py(Y[from]), radius * scale, 0, 7); else c.rect(0, 0, w, h);
   addOutline(c, reachOf(X[from], Y[from], radius, far));
   c.fillStyle = colour.lost; c.globalAlpha = .14; c.fill("evenodd");
   c.globalAlpha = 1;
