@@ -134,16 +134,9 @@ def control_variate(
     variances = corrected.standard_error**2, (slope * other_control.standard_error) ** 2
     total = variances[0] + variances[1]
     scale = variances[0] ** 2 / (len(y) - 2) + variances[1] ** 2 / (len(z) - 1)
-    return ControlledEstimate(
-        corrected.mean,
-        sqrt(total),
-        len(y),
-        plain,
-        explained,
-        slope,
-        len(x) + len(z),
-        total**2 / scale if scale else inf,
-    )
+    freedom = total**2 / scale if scale else inf
+    controls = len(x) + len(z)
+    return ControlledEstimate(corrected.mean, sqrt(total), len(y), plain, explained, slope, controls, freedom)
 
 
 def _slopes(y: Floats, x: Floats) -> tuple[Floats, float, float]:

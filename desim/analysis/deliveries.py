@@ -85,8 +85,7 @@ def delivery_table(result: Result) -> DeliveryTable:
     never, size = ended(result).t + 1, len(started(result).active)
     events: list[Broadcast | Sent | Queued] = []
     losses: list[Lost] = []
-    # (number of receivers, transmission, source, created, left) of each event
-    rows: list[tuple[int, int, int, int, int]] = []
+    rows: list[tuple[int, int, int, int, int]] = []  # (number of receivers, transmission, src, created, left)
     receivers: list[tuple[int, ...]] = []
     arrivals: list[Iterable[int]] = []
     for event in result.trace:

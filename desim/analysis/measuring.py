@@ -93,18 +93,16 @@ def users_metrics(named: Sequence[NamedMetric], more: Metrics = MappingProxyType
     for name, of in pairs:
         if not (isinstance(name, str) and name.isascii() and name.isidentifier()) or iskeyword(name):
             raise ValueError(f"the name of a metric should be a Python identifier in ASCII, got {value_text(name)}")
-        lower = name.lower()  # SQL does not tell cases apart
-        if lower in METRICS or lower in COLUMNS or lower in Scenario.model_fields:
-            taken = (
-                "built-in metric" if lower in METRICS else "column of tables" if lower in COLUMNS else "scenario key"
-            )
+        key = name.lower()  # SQL does not tell cases apart
+        if key in METRICS or key in COLUMNS or key in Scenario.model_fields:
+            taken = "built-in metric" if key in METRICS else "column of tables" if key in COLUMNS else "scenario key"
             raise ValueError(f"metric {name!r} should have another name: there is a {taken} of this name")
         if not callable(of) or isinstance(of, type):
             raise ValueError(f"metric {name!r} should be a function of a result, got {value_text(of)}")
         function = of.of if isinstance(of, Metric) else of
         check_argument(function, ("result",), f"metric {name!r}")
         check_at_once(function, f"metric {name!r} ")
-        if (other := next((earlier for earlier in metrics if earlier.lower() == lower), name)) != name:
+        if (other := next((earlier for earlier in metrics if earlier.lower() == key), name)) != name:
             raise ValueError(f"metric {name!r} should have another name: it differs from {other!r} only in case")
         metric = of if isinstance(of, Metric) else Metric(of)
         if metrics.setdefault(name, metric) != metric:

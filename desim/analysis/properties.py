@@ -89,12 +89,10 @@ def judge(prop: Stated, result: Result) -> Judgement:
     run_argument(Result).check(result, "judge")
     prop = stated(prop, result.scenario)
     worst, reference = worst_of(prop, trace_index(result)), reference_scenario(prop, result.scenario)
-    measure_of_reference = None
+    reference_measure = None
     if reference is not None:
-        measure_of_reference = worst_of(prop, trace_index(run(recording(reference, [prop]), result.seed))).measure
-    return Judgement(
-        prop.margin(worst.measure, measure_of_reference), worst.measure, seconds(worst.at), measure_of_reference
-    )
+        reference_measure = worst_of(prop, trace_index(run(recording(reference, [prop]), result.seed))).measure
+    return Judgement(prop.margin(worst.measure, reference_measure), worst.measure, seconds(worst.at), reference_measure)
 
 
 def stated(prop: Stated, scenario: Scenario) -> Property:

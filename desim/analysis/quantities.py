@@ -136,10 +136,7 @@ def _misassigned(result: Result) -> StepChanges:
 
 
 def _records(result: Result) -> list[tuple[int, int, int, int, int]]:
-    """Return (time in ns, reader, source, announced action, time of the announcement in ns) of each newer record.
-
-    The table is in order of time.
-    """
+    """Return (time, reader, source, action, time of the announcement) of each newer record, in order of time; ns."""
     columns = (knowledge(result)[name].tolist() for name in ("begin", "reader", "source", "active", "created"))
     return sorted(zip(*columns, strict=True), key=lambda row: row[0])
 
@@ -158,11 +155,9 @@ def _wrong_beliefs(result: Result) -> StepChanges:
         else:
             believed[reader, source] = act
             readers = [reader]
-        for i in readers:
-            if believed.get((i, source), 0) != actions[source]:
-                wrong.add((i, source))
-            else:
-                wrong.discard((i, source))
+        pairs = {(i, source) for i in readers}
+        wrong -= pairs
+        wrong |= {pair for pair in pairs if believed.get(pair, 0) != actions[source]}
         yield t, float(len(wrong))
 
 

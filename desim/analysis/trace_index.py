@@ -61,8 +61,7 @@ def _places(result: Result) -> dict[type, list[int]]:
 def places_of(result: Result, *kinds: type) -> list[int]:
     """Return the positions in the trace of the events of some types, in order.
 
-    For a `TraceIndex`, one pass serves all calls. For another result each call searches the trace, which is faster than
-    that pass.
+    One pass serves all calls for a `TraceIndex`. For another result, each call searches the trace.
     """
     if not isinstance(result, TraceIndex):
         return [place for place, event in enumerate(result.trace) if isinstance(event, kinds)]

@@ -68,8 +68,7 @@ def write(events: Iterable[Event], file: Path, beliefs: Pieces | None = None, he
         events: the events of the run, in order.
         file: the path of the file.
         beliefs: the beliefs in the run, from `desim.analysis.knowledge.knowledge`; None: the topic is left out.
-        headings: the headings of the players with inertia, of which no sample has been asked for; None: all head along
-            the x axis.
+        headings: new `Headings` of the run; None: all players head along the x axis.
 
     Raises:
         ImportError: if the package mcap is not installed.
@@ -198,8 +197,8 @@ class Scene:
         for name in self._places:
             kind, number = name.split()
             is_evader = kind == "evader"
-            k = int(number)
-            colour = self._evader_colour(k) if is_evader else self._pursuer_colour(k, chasers)
+            evader_colour = _colour(EVADER, 0.4 if is_evader and int(number) in self._captured else 1.0)
+            colour = evader_colour if is_evader else self._pursuer_colour(int(number), chasers)
             size = dict.fromkeys("xyz", self._size)
             body = {"pose": _pose(DIAMOND if is_evader else UPRIGHT), "size": size, "color": colour}
             label: Message = {"pose": _pose(), "billboard": True, "font_size": 12.0, "scale_invariant": True}
@@ -207,9 +206,6 @@ class Scene:
             parts: dict[str, list[Message]] = {"cubes" if is_evader else "spheres": [body], "texts": [label]}
             players.append(_entity(t, name, parts, frame=name))
         return t, "/players", _scene(players)
-
-    def _evader_colour(self, evader: int) -> Message:
-        return _colour(EVADER, 0.4 if evader in self._captured else 1.0)
 
     def _pursuer_colour(self, pursuer: int, chasers: Mapping[int, int]) -> Message:
         """Return the colour of a pursuer, given the number of pursuers with each action."""

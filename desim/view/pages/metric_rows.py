@@ -69,10 +69,7 @@ def differences_over_seeds(
 
 
 def compared_metrics(now: Summary, pinned: Summary | None, named_metrics: Mapping[str, Metric]) -> Iterator[Answer]:
-    """Yield the value of each numeric metric of a run, and its difference from that of the pinned run.
-
-    `named_metrics` are the user's metrics by name.
-    """
+    """Yield the value of each numeric metric of a run, and its difference from that of the pinned run."""
     for name in _ordered(now):
         value, other = now[name], None if pinned is None else pinned.get(name)
         if value is None and other is None:
