@@ -47,13 +47,13 @@ def shared_variables(objects: Iterable[Any]) -> Iterator[tuple[Any, str, Read]]:
     """Yield each variable that code of a user may change: its function or class, its name, and what reads its value."""
     for item in objects:
         if isinstance(item, FunctionType | CACHED):
-            yield from ((item, *variable) for variable in _items(item.__qualname__, vars(item)))
+            yield from ((item, *variable) for variable in _attributes(item.__qualname__, vars(item)))
         if isinstance(item, FunctionType):
             yield from ((item, *variable) for variable in _variables(item))
         elif isinstance(item, type):
             for function in _functions_in(vars(item).values()):
                 yield from ((item, *variable) for variable in _variables(function))
-            yield from ((item, *variable) for variable in _items(item.__qualname__, vars(item)))
+            yield from ((item, *variable) for variable in _attributes(item.__qualname__, vars(item)))
 
 
 def is_foreign(definition: Any) -> bool:
@@ -65,7 +65,7 @@ def is_foreign(definition: Any) -> bool:
     return str(variables.get("__name__") or module_of(definition)).partition(".")[0] in _FOREIGN
 
 
-def _items(owner: str, namespace: Any) -> Iterator[tuple[str, Read]]:
+def _attributes(owner: str, namespace: Any) -> Iterator[tuple[str, Read]]:
     """Yield the attributes in the namespace of a class or function, without methods and descriptors of Python."""
     for name, value in tuple(namespace.items()):  # a copy, because pydantic may still complete the class
         is_method = hasattr(type(value), "__get__") and is_foreign(type(value))

@@ -46,7 +46,7 @@ def fresh_copy(model: Model, *, alone: bool = False, is_run: bool = False) -> It
         StateError: if an object cannot be copied, such as a generator or an open file; the text names its key.
     """
     users = dict(users_objects(model))
-    if not users:  # as a rule
+    if not users:  # most models hold no objects of users
         yield model
         return
     copied, shared, functions = model, [], []

@@ -168,11 +168,13 @@ class Wording:
 
 
 NUMBERS = {"float_type", "int_type"}
+"""Types of errors about a value in place of a number."""
 INFINITE = re.compile(r"\+?inf(inite|inity)?", re.IGNORECASE)
 """Matches a text that stands for an infinite number."""
 RANGE = re.compile(r"[\d.]*\d(\.\.+|-)\d[\d.]*")
 """Matches a range as other programs write it, 0..1 or 0-1 for instance."""
 NOT_A_TABLE = {"model_type", "model_attributes_type"}
+"""Types of errors about a value in place of a table."""
 SAYS_ENOUGH = OF_EXCEPTIONS | {"union_tag_invalid", "import_refused"}
 """Types of errors whose texts say what the key is for, or list what is allowed."""
 
@@ -187,7 +189,7 @@ def _no_number(value: Any, info: FieldInfo | None) -> str | None:
 
 
 def _with_file(file: str, place: KeyPath, owner: type[BaseModel] | None, info: FieldInfo | None) -> str:
-    """Return how a file is given that stands in place of a list, as the end of a message; "" if no file is read."""
+    """Return how to give a file, named in place of a list, as the end of a message; "" if no model reads a file."""
     if owner and "file" in fields_of(owner):
         return f'; a file is another key: file = "{file}"'
     for model in models_in(info.annotation) if info else ():
@@ -205,7 +207,7 @@ def _holds_models(info: FieldInfo) -> bool:
 
 
 def _wrapped(value: Any, info: FieldInfo | None) -> str:
-    """Return how a model that stands in place of a table is put into it, as the end of a message; "" if it cannot be.
+    """Return how to put a model into the table in whose place it is given, as the end of a message; else "".
 
     An evasion strategy, for example, is a key of an evader: Evader(strategy=Still()).
     """

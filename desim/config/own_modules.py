@@ -83,12 +83,12 @@ def _is_hidden(top: str, beside: ModuleSpec) -> bool:
     except (ImportError, ValueError):
         plain = None
     if beside.origin is None:  # a folder without __init__.py, which any other module of this name precedes
-        places = [] if plain is None else list(plain.submodule_search_locations or ())
-        return plain is None or (
-            plain.origin is None and not set(beside.submodule_search_locations or ()) & set(places)
-        )
-    place = getattr(imported, "__file__", None) if plain is None else plain.origin
-    return place is None or Path(place).resolve() != Path(beside.origin).resolve()
+        if plain is None:
+            return True
+        folders = set(beside.submodule_search_locations or ())
+        return plain.origin is None and folders.isdisjoint(plain.submodule_search_locations or ())
+    file = getattr(imported, "__file__", None) if plain is None else plain.origin
+    return file is None or Path(file).resolve() != Path(beside.origin).resolve()
 
 
 def folder_in_name(name: str) -> Path | None:

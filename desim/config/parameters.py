@@ -52,10 +52,10 @@ def table_columns(value: Any) -> list[tuple[Any, Any]] | None:
 def in_json(value: Any) -> Any:
     """Return what stands in JSON for an object that JSON and pydantic lack, such as a parameter of a user's model.
 
-    A number, an array, a series or a range becomes a number or a list; a table becomes a dict of its columns, or a list
-    of names and columns if two have one name. The labels of rows of pandas are a column, too, unless they are 0 .. n-1.
-    Any other object becomes { "kind": the name of its class }, a function or a class { "kind": its name }; see
-    `is_named_only`.
+    A number, an array, a series or a range becomes a number or a list. A table becomes a dict of its columns, or a list
+    of names and columns if two columns have the same name; the labels of the rows of pandas are a column, too, unless
+    they are 0 .. n-1. Any other object becomes { "kind": the name of its class }, a function or a class
+    { "kind": its name }; see `is_named_only`.
     """
     plain = _content_in_json(value)
     if plain is not None:
@@ -81,7 +81,7 @@ def _content_in_json(value: Any) -> Any:
         return str(value)
     if isinstance(value, Iterator):  # to read it would advance it
         return None
-    if getattr(getattr(value, "dtype", None), "kind", "") == "O" and hasattr(value, "tolist"):  # perhaps of sets
+    if getattr(getattr(value, "dtype", None), "kind", "") == "O" and hasattr(value, "tolist"):  # it may hold sets
         return sorted_sets(value.tolist())
     plain = as_python(value)
     return plain if type(plain) in CONVERTED and plain is not value else None
@@ -168,7 +168,7 @@ def as_jsonable(value: Any, fallback: Callable[[Any], Any] = in_json) -> Any:
 
 
 def is_named_only(value: Any) -> bool:
-    """Return whether JSON has only the name of an object, or of an object in a value, and not its content."""
+    """Return whether JSON has only the name, and not the content, of a value or of an object inside it."""
     named: list[Any] = []
 
     def fallback(part: Any) -> Any:

@@ -57,7 +57,7 @@ def as_python(value: Any) -> Any:
     if callable(value):  # a model of a user, which may be a list, too
         return value
     if getattr(getattr(value, "dtype", None), "kind", "") in DATES:
-        return list(value) if getattr(value, "ndim", 0) else value
+        return list(value) if getattr(value, "ndim", 0) else value  # unconverted, for the field to refuse
     if isinstance(value, Complex | Decimal):
         return _number(value)
     if hasattr(kind, "__float__") and (hasattr(value, "units") or hasattr(value, "unit")):
@@ -172,7 +172,7 @@ def _is_endless(values: Iterator[Any]) -> bool:
 
 
 def _number(value: Any) -> Any:
-    """Return a number as an `int` or a `float`; one that neither can represent is returned unchanged."""
+    """Return a number as an `int`, a `float` or a `complex`; one that none can represent is returned unchanged."""
     try:
         if isinstance(value, Integral):
             return index(value)

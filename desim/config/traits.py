@@ -55,17 +55,16 @@ class Parameter(BeforeValidator):
 
 
 class Follows:
-    """Marks a trait that follows from other methods: it does not count if a class derived later overrides one of these.
+    """Marks a trait that follows from other methods: if a user's class overrides one of these, the trait is outdated.
 
-    A class overrides a method if a base class has it, too. The trait counts if it is defined in the class that
-    overrides the method, or in a class derived from it. The trait also counts if neither its class nor a base of it has
-    the method. It then calls a method that subclasses add: the inherited `draw` of
-    `desim.kernel.models.latency.Uniform`, for example, calls `quantile`.
+    The trait counts again if the class that overrides the method, or a class derived from it, defines the trait. A
+    class overrides a method if it defines the method and a base class has it, too. A trait whose class and base classes
+    lack the method is therefore never outdated: it calls what subclasses add, as the inherited `draw` of
+    `desim.kernel.models.latency.Uniform` calls `quantile`.
 
     Args:
         methods: the names of the methods.
-        not_above: the name of a method; a trait from a base of the class that defines this method never counts, whether
-            or not the definition overrides another one.
+        not_above: the name of a method that outdates a trait of a base class even if it overrides no other method.
     """
 
     def __init__(self, *methods: str, not_above: str | None = None):

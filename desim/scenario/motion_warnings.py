@@ -100,7 +100,7 @@ def _inertia_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
 
 
 def _record_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
-    """Yield the warnings about recorded motion whose file has heights."""
+    """Yield the warnings about recorded motion: heights that are dropped, and times that may be in another unit."""
     records: list[tuple[str, Any]] = [
         *((f"{_dotted(place)}.strategy", table.record) for place, table in scenario.evader_tables),
         *((f"team.relay.{k}.motion", relay.motion) for k, relay in enumerate(scenario.team.relay)),
@@ -167,8 +167,9 @@ def _dotted(place: Sequence[str | int]) -> str:
 
 def _box(points: Iterable[complex], margin: float = 0.0) -> tuple[float, float, float, float]:
     """Return the least and greatest x, and the least and greatest y, of some points, m, with a margin around them."""
-    at = np.array(list(points))
-    return at.real.min() - margin, at.real.max() + margin, at.imag.min() - margin, at.imag.max() + margin
+    coordinates = np.array(list(points))
+    x, y = coordinates.real, coordinates.imag
+    return x.min() - margin, x.max() + margin, y.min() - margin, y.max() + margin
 
 
 def _estimates_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:

@@ -124,9 +124,9 @@ class Team(Value):
         return self.record.names if self.record is not None else ()
 
     def numbered(self, names: tuple[str, ...]) -> "Team":
-        """Return the team whose positions are in the order of the names of a graph, if both have the same names.
+        """Return the team with its positions in the order of the names of a graph, if both have the same names.
 
-        Positions whose `nodes` were given keep their order.
+        Positions whose `nodes` the user gives keep their order.
         """
         record = self.record
         if record is None or not record.is_in_file_order or self.names == names or set(self.names) != set(names):

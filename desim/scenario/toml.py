@@ -156,10 +156,10 @@ def _relocate(source: Source) -> None:
         node, key = value_at(source.tables, place[:-1]), place[-1]
         folder = os.path.relpath(Path(source.files[place]).parent, Path(source.name).parent)
         is_of_grid = parts[:2] == ["sweep", "grid"]
-        of_scenario = parts[2:] if is_of_grid else parts
-        if isinstance(value, str) and _has_data_file(node, of_scenario):
+        table_parts = parts[2:] if is_of_grid else parts
+        if isinstance(value, str) and _has_data_file(node, table_parts):
             node[key] = str(Path(folder, value))
-        elif isinstance(value, list) and is_of_grid and _has_data_file(source.at(of_scenario), of_scenario):
+        elif isinstance(value, list) and is_of_grid and _has_data_file(source.at(table_parts), table_parts):
             node[key] = [str(Path(folder, path)) if isinstance(path, str) else path for path in value]
 
 
@@ -205,7 +205,7 @@ def _parsed(file: Path, allow_import: bool) -> Source:
         if how := CONVERSIONS.get(file.suffix.lower()):
             raise ScenarioError(f"{file}: scenario files are TOML; convert it: python -c '{how}' {file}") from None
         raise ScenarioError(_syntax_error(file, str(error), text)) from error
-    tables = _in_folder(tables, file.parent)  # a grid is validated later, elsewhere
+    tables = _in_folder(tables, file.parent)  # the values of a grid are validated later, without the file
     return Source(str(file), tables, Scenario, key_lines(text), allow_import=allow_import)
 
 
