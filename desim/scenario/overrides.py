@@ -27,6 +27,8 @@ from desim.scenario.override_texts import key_and_value, key_and_values
 
 _QUOTED = re.compile(r"""(["'])([^"']+)\1""")
 """Matches a part of a key in quotes."""
+MAX_INDEX_DIGITS = 18
+"""Number of digits up to which a part of a key is an index; Python refuses to read thousands of digits."""
 
 
 class ScenarioError(KeyedError):
@@ -362,4 +364,5 @@ def _empty_list(name: str) -> str:
 
 def _key(part: str, node: Any) -> str | int:
     """Return a part of a dotted name as a key of a table or an index of a list."""
-    return int(part) if isinstance(node, list) and part.isascii() and part.isdigit() else part
+    is_index = isinstance(node, list) and part.isascii() and part.isdigit() and len(part) <= MAX_INDEX_DIGITS
+    return int(part) if is_index else part

@@ -315,3 +315,10 @@ def test_an_error_names_the_file_and_the_line_of_its_value(tmp_path, line, place
     with pytest.raises(ScenarioError) as refused:
         load(tmp_path / "f.toml")
     assert str(refused.value).replace(f"{tmp_path}/", "").startswith(f"{place}:")
+
+
+def test_a_grid_of_a_base_with_an_index_of_thousands_of_digits_is_refused_like_any_wrong_key(files):
+    grid = f'[sweep.grid]\n"evader.{"9" * 5000}.strategy.file" = ["a.csv"]'
+    source = read_source(files(mine="base = 'other.toml'", other=f"[[evader]]\n{grid}"))
+    with pytest.raises(ScenarioError, match="is not a key of a table"):
+        list(configurations(source))

@@ -243,3 +243,8 @@ def test_an_object_without_known_parameters_has_no_keys():
             ScenarioError, match=r"network.latency: \w+ has no key 'mean': give another one, or make it a"
         ):
             scenario.with_({"network.latency.mean": 0.5})
+
+
+def test_an_index_of_thousands_of_digits_is_not_a_key():
+    with pytest.raises(ScenarioError, match=r"is not a key of a table$"):
+        BASE.with_({f"fault.{'9' * 5000}.start": 1.0})
