@@ -46,8 +46,8 @@ def missing_export(package: str, name: str, names: Collection[str], elsewhere: M
         package: the name of the package.
         name: the missing name.
         names: the names that it exports.
-        elsewhere: by missing name, the import that users mean. Such an error is an ImportError, because Python replaces
-            the text of an AttributeError in `from package import name`.
+        elsewhere: by missing name, the import that users mean. The error about one of these names is an ImportError,
+            because Python replaces the text of an AttributeError in `from package import name`.
     """
     imports = {export: f"from {package} import {export}" for export in names} | dict(elsewhere)
     meant = elsewhere.get(name)

@@ -168,7 +168,7 @@ class Value(BaseModel, metaclass=_ValueType):
             why = _why_no_list(cls, name, value)
             is_set_for_set = isinstance(value, SET_TYPES) and get_origin(cls.model_fields[name].annotation) in SET_TYPES
             try:
-                converted[name] = as_python([*value] if is_set_for_set else value)  # which refuses a set
+                converted[name] = as_python([*value] if is_set_for_set else value)  # `as_python` refuses a set
             except UnicodeEncodeError as error:
                 why = why_no_text(error)
             if why:

@@ -164,7 +164,7 @@ def _motion_misfits(scenario: AnyScenario) -> Iterator[Misfit]:
     if scenario.team.has_inertia and not environment.keeps_distances:
         yield (
             ("team", "dynamics"),
-            "capture times of pursuers with inertia are known in a flow that carries all players alike only:"
+            "capture times of pursuers with inertia are known only in a flow that carries all players alike:"
             ' `environment.flow` none, uniform, harmonic or recorded, and `environment.on` "all"',
         )
     if scenario.sensing.estimate == "worst_case" and not environment.is_still:
