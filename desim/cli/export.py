@@ -103,7 +103,9 @@ def _is_run(source: Path) -> bool:
         if has_run and has_sweep:
             fail(f"{source}: has a run and a sweep: give {source / TRACE} or {source / STORE}")
         return has_run
-    return source.name == TRACE or (not is_recorded(source) and (source.exists() or source.suffix == ".toml"))
+    if is_recorded(source):
+        return source.name == TRACE
+    return source.exists() or source.suffix == ".toml"  # a missing source of another name is meant as a sweep
 
 
 def _export_run(
@@ -135,7 +137,7 @@ def _export_run(
         fail(f"{file}: cannot be written: {error.strerror}")
     except (ImportError, ValueError) as error:
         fail(str(error))
-    scenario = vars(result).get("scenario")  # a streamed result has one if the exporter has asked for it
+    scenario = vars(result).get("scenario")  # a streamed result has it if the exporter has used it
     if is_recorded(source) and scenario is not None and scenario.record.messages is False:
         echo(f"warning: {source}: messages were not recorded, and are left out: set record.messages = true", err=True)
     singular = re.sub("ies$", "y", traits.items)  # an exporter of a user may count entries, boxes, passes or batches

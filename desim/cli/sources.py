@@ -155,7 +155,7 @@ def valid(source: "Source") -> "Scenario":
     if scenario.record.metrics:
         from desim.analysis.measuring import users_metrics
 
-        for k in range(len(scenario.record.metrics)):  # so that the last of the metrics is the one with an error
+        for k in range(len(scenario.record.metrics)):  # if the first k can be measured, metric k has the error
             try:
                 users_metrics(scenario.record.metrics[: k + 1])
             except ValueError as error:

@@ -125,7 +125,7 @@ def sweep(
         metrics, until = tuple(dict.fromkeys((*metrics, function))), (function.rpartition(":")[2], width)
     source, scenario = source_of(file, overrides, metrics, grid, design)
     shown = shown_metrics(scenario, metrics, SHOWN)
-    _check_parts(until, shard, claim)
+    _check_selection(until, shard, claim)
     reference = dict(against) or None
     plan = _plan_of(source, runs, seed, until, reference)
     control_plan = _control_plan(plan, control, control_runs, is_partial=bool(until or shard))
@@ -156,7 +156,7 @@ def sweep(
                 folder, provenance.document("sweep", scenario, **needed, **planned.entries(keys, None, None))
             )
         all_stored = None
-        if not (shard or claim):
+        if not (shard or claim):  # a part of a sweep has no summary
             has_all = len(store.configurations()) == len(result.groups)
             all_stored = result if has_all else SweepResult.of(store)
     controlled = None if control_plan is None else _controlled(control_plan, result, folder, execution, metrics)
@@ -172,7 +172,7 @@ def sweep(
     _end_if_failed(result, folder)
 
 
-def _check_parts(until: tuple[str, float] | None, shard: tuple[int, int] | None, claim: Path | None) -> None:
+def _check_selection(until: tuple[str, float] | None, shard: tuple[int, int] | None, claim: Path | None) -> None:
     """End the program if two of the options that select the runs to perform exclude each other."""
     if until and shard:
         fail("--until needs all runs, and --shard performs a part of them only: they exclude each other")

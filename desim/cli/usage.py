@@ -139,7 +139,7 @@ def check_empty(words: Sequence[str], context: click.Context) -> None:
     """
     for before, word in zip(("", *words), words, strict=False):
         option, equals, value = word.partition("=") if word.startswith("--") else (before, "", word)
-        if option.startswith("-") and not value and (equals or not word):
+        if option.startswith("-") and not value and (equals or not word):  # "--out=", or "" after an option
             raise click.UsageError(f"The value of {option} is empty. Is a variable of the shell not set?", context)
 
 
@@ -150,10 +150,11 @@ def _described(param: click.Parameter, context: click.Context) -> str:
         return f"{min(param.opts, key=len)} {form}: {_purpose(param)}."
     if len(choices := getattr(param.type, "choices", ())):
         return f"one of {', '.join(choices)}"
-    meaning = NEEDED.get(form.replace("...", "").replace("|", " ").split()[-1].lower().strip("[]{}"))
+    last = form.replace("...", "").replace("|", " ").split()[-1].lower().strip("[]{}")
+    meaning = NEEDED.get(last, NEEDED["a"])  # B of `desim compare` is a folder like A
     if form == "DIR|FILE" or form.startswith("DIR|FILE "):
         meaning = f"{NEEDED['dir']}, or a scenario file"
-    return f"{form}: {meaning or NEEDED['a']}"  # B of `desim compare` is a folder like A
+    return f"{form}: {meaning}"
 
 
 def _purpose(param: click.Parameter) -> str:
@@ -185,7 +186,7 @@ def _about_option(error: click.NoSuchOption, words: Sequence[str]) -> click.NoSu
         advice = f"Did you mean {min(options[synonym], key=len)!r}?"
     elif close_to(f"--{name}", close, cutoff=0.9):
         advice = f"Did you mean {close[0]!r}?"
-    elif keys := _keys(name, bool(others)) if "--set" in options else []:
+    elif "--set" in options and (keys := _keys(name, bool(others))):
         alternatives = f", or {' or '.join(keys[1:])}" if keys[1:] else ""
         advice = f"A key of the scenario is set by --set {keys[0]}=VALUE{alternatives}."
     elif others and context is not None and isinstance(context.command, click.Group):

@@ -59,6 +59,7 @@ class Lobby:
         self._joined: dict[int, _Pursuer] = {}
         self._ready: set[int] = set()
         self._statuses: dict[int, int | None] = {}
+        """The exit status of each process that has ended; None: it is not known."""
         self._changed = asyncio.Event()
         self.errors: list[str] = []
         self.is_over = False
@@ -116,7 +117,7 @@ class Lobby:
     async def reports(self, limit: float) -> list[int]:
         """Wait for the last report of each pursuer; return the pursuers that have not sent it within a limit, s."""
         with suppress(LiveError):
-            await self._until(lambda: not self._missing(), limit, ends_matter=False)
+            await self._until(lambda: not self._missing(), limit, ends_fail=False)
         self.is_over = True
         return self._missing()
 
@@ -136,16 +137,16 @@ class Lobby:
         self._statuses[pursuer] = status
         self._changed.set()
 
-    async def _until(self, holds: Callable[[], bool], limit: float, *, ends_matter: bool = True) -> None:
+    async def _until(self, holds: Callable[[], bool], limit: float, *, ends_fail: bool = True) -> None:
         """Wait until a condition about all pursuers holds.
 
         Raises:
-            LiveError: if the condition does not hold within a limit, s; or if a process ends and `ends_matter`.
+            LiveError: if the condition does not hold within a limit, s, or, with `ends_fail`, if a process ends before.
         """
         try:
             async with asyncio.timeout(limit):
                 while not holds():
-                    if ends_matter and (self.errors or self._statuses):
+                    if ends_fail and (self.errors or self._statuses):
                         ends = [f"pursuer {pursuer} {ending(status)}" for pursuer, status in self._statuses.items()]
                         raise LiveError(self.errors[0] if self.errors else "; ".join(ends))
                     self._changed.clear()
@@ -166,7 +167,7 @@ class Lobby:
     def _admit(self, lines: Lines, word: str, *values: Any) -> None:
         """Let a process join the run, or refuse it."""
         match word, *values:
-            case "hello", int(pursuer), str(token), scenario, [here, mailbox]:
+            case "hello", int(pursuer), str(token), scenario, [address, mailbox]:
                 why = self._refusal(pursuer, token, scenario)
             case _:
                 why = "it does not speak as a pursuer does"
@@ -174,7 +175,7 @@ class Lobby:
             lines.tell("refused", why)
             lines.close()
             return
-        self._joined[pursuer] = _Pursuer(lines, [here, mailbox])
+        self._joined[pursuer] = _Pursuer(lines, [address, mailbox])
         lines.hear, lines.lost = partial(self._take, pursuer), partial(self._leave, pursuer)
         self._changed.set()
 
@@ -225,6 +226,7 @@ class _Pursuer:
 
     lines: Lines
     addresses: list[Any]
+    """Those of its socket and of its mailbox."""
     is_done: bool = False
     """Whether it has reported its last, or was lost."""
     loss: asyncio.Task[None] | None = None

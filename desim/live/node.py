@@ -144,7 +144,7 @@ class Node:
         scenario, state, env, seed, me = self._scenario, self._state, self._env, self._seed, self.pursuer
 
         def link_layer(net: NetworkState, links: Links, sampler: LinkSampler, *rest: Any) -> SocketLinkLayer:
-            sampler = sampler.renamed(f"live {me} ")
+            sampler = sampler.renamed(f"live {me} ")  # each receiver draws from streams of its own
             wire, post = self._wire, self._post
             self.link = SocketLinkLayer(net, links, sampler, *rest, node=me, wire=wire, post=post, draws=draws)
             return self.link

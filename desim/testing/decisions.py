@@ -51,9 +51,9 @@ SHARED = (
     "changes the attributes of the object, which all pursuers share, so that they know of each other without a message:"
     " keep what a pursuer remembers in local variables of the generator"
 )
-"""What is wrong with an object that remembers something."""
+"""The complaint about an object that remembers something."""
 SLOW = "if it is meant to be slower, check it with a shorter period"
-"""What to do with a model that is right, but too slow for the runs of a check."""
+"""The advice about a model that is right, but too slow for the runs of a check."""
 
 
 def _scenario(protocol: Any, parts: dict[str, Any], dissemination: Any = None) -> Scenario:

@@ -46,7 +46,7 @@ def _refusals(tested: Subject, where: str, parts: dict[str, Any], folder: Path) 
     lines = list(map(line_of, result.trace))
     files = [folder / f"{name}{ExporterTraits.of(tested.model).suffix or '.file'}" for name in "ab"]
     results: list[Any] = [result, result]
-    if ExporterTraits.of(tested.model).streams:
+    if streams := ExporterTraits.of(tested.model).streams:
         write(result, folder / "run", drawn=False)
         results[1] = streamed(folder / "run", allow_import=True)
     call = f"exporter(result, file) of {where}"
@@ -62,7 +62,7 @@ def _refusals(tested: Subject, where: str, parts: dict[str, Any], folder: Path) 
             f"{call} returns {value_text(count)}, expected the number of items in the file, an integer, or None",
         )
     first, second = (file.read_bytes() for file in files)
-    how = "read from its folder, event by event," if results[1] is not result else "exported again"
+    how = "read from its folder, event by event," if streams else "exported again"
     tested.require(first == second, f"{call} writes another file for the run {how}: expected equal bytes")
     tested.require(list(map(line_of, result.trace)) == lines, f"{call} changes the trace")
     return []

@@ -22,7 +22,7 @@ from desim.testing.judging import Subject, subject, twice
 HORIZON = 1.0
 """Length of a run, s."""
 CLAIMS: tuple[dict[int, float], ...] = ({}, {1: 0.5}, {1: nan, 2: 2.0}, {1: 0.1, 2: 0.2, 3: 5.0, 4: inf})
-"""Claims of teammates, s, by pursuer."""
+"""Capture times that teammates claim, s, by pursuer."""
 SITUATIONS: dict[str, dict[str, Any]] = {
     "a run of an honest team": {},
     "a run of one pursuer": {"team": Team(count=1, speeds=2.0)},
