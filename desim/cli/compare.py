@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 def _share(text: str) -> float:
     """Return the share that a text states in percent, 0.1 for 10%; raise ValueError if it has another form."""
-    number, sign, after = text.partition("%")
-    if not sign or after:
+    number, sign, remainder = text.partition("%")
+    if not sign or remainder:
         raise ValueError
     return float(number) / 100.0
 

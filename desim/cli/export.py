@@ -122,15 +122,15 @@ def _export_run(
 
     try:
         parameters = {"events": kinds} if kinds else {}
-        chosen = formats.exporter_for(file, exporter, allow_import=is_import_allowed(), **parameters)
-        traits = formats.ExporterTraits.of(chosen)
+        chosen_exporter = formats.exporter_for(file, exporter, allow_import=is_import_allowed(), **parameters)
+        traits = formats.ExporterTraits.of(chosen_exporter)
         if is_recorded(source) and traits.streams:
             check_recorded_options(seed, overrides)
             folder = source if source.is_dir() else source.parent
             result: Any = streamed(folder, allow_import=is_import_allowed())
         else:
             result = result_of(source, seed, overrides)
-        count = formats.export(result, file, chosen)
+        count = formats.export(result, file, chosen_exporter)
     except OSError as error:
         if error.filename is not None and Path(error.filename).name == TRACE:
             fail(f"{error.filename}: cannot be read: {error.strerror}")

@@ -147,13 +147,13 @@ def _draw(
         fail(f"--kind {kind} draws a {other}, and {source} is a {noun}: choose {' or '.join(kinds)}")
     selects_means = bool(options_given(OF_MEANS))  # means are the first kind of a sweep
     default = next(iter(kinds)) if isinstance(result, Result) or selects_means else result.usual_kind
-    chosen = kind or default
-    _check_options(chosen)
-    chosen_options = {name: options[name] for name in kinds[chosen] if options[name] not in (None, ())}
+    kind = kind or default
+    _check_options(kind)
+    chosen_options = {name: options[name] for name in kinds[kind] if options[name] not in (None, ())}
     if isinstance(result, Result):
-        _draw_run(result, chosen, picture_paths(source, out, chosen, NAMES.get(chosen, chosen)), chosen_options)
+        _draw_run(result, kind, picture_paths(source, out, kind, NAMES.get(kind, kind)), chosen_options)
     else:
-        _draw_sweep(result, chosen, source, out, chosen_options)
+        _draw_sweep(result, kind, source, out, chosen_options)
 
 
 def _draw_run(result: "Result", kind: str, paths: Sequence[Path], options: dict[str, Any]) -> None:

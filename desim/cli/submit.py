@@ -125,8 +125,8 @@ def submit(
         if not to_submit:
             where, merging = shlex.quote(str(folder)), shlex.join(merge[len(DESIM) :])
             waiting = f"all parts that are not done wait or run; `desim status {where}` says how far they are"
-            done = f"all parts are done; to merge them: desim {merging} {where}/part-* -o {where}"
-            echo(waiting if unfinished else done)
+            finished = f"all parts are done; to merge them: desim {merging} {where}/part-* -o {where}"
+            echo(waiting if unfinished else finished)
             return
         options = {
             "-n": runs,
@@ -147,18 +147,18 @@ def _job(folder: Path, plan: "SweepPlan", parts: int, claim: bool) -> "ArrayJob"
     """Return the job of a folder, new or as it was submitted; end the program if it was submitted in other parts."""
     from desim.study.sweeps.array_job import ArrayJob
 
-    wanted = ArrayJob(name=plan.base.name, runs=plan.runs, parts=parts, claim=claim)
+    requested = ArrayJob(name=plan.base.name, runs=plan.runs, parts=parts, claim=claim)
     try:
         submitted = ArrayJob.read(folder)
     except ValueError as error:
         fail(str(error))
     if submitted is None:
-        return wanted
+        return requested
     if not claim and (submitted.parts, submitted.claim) != (parts, claim):  # parts that claim runs may be added
         how = f"--array {submitted.parts}{' --claim' if submitted.claim else ''}"
         fail(f"{folder}: was submitted with {how}, whose parts have other runs: give that, or another folder (-o)")
     return ArrayJob(
-        name=wanted.name, runs=wanted.runs, parts=max(parts, submitted.parts), claim=claim, jobs=submitted.jobs
+        name=requested.name, runs=requested.runs, parts=max(parts, submitted.parts), claim=claim, jobs=submitted.jobs
     )
 
 

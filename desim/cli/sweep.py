@@ -284,21 +284,22 @@ def _print_plan(
 
     with storing(path.parent), Store(path if path.exists() else None, read_only=path.exists()) as store:
         plan.check(store, mix_versions=mix_versions)
-        stored = plan.done(store, metrics)
-    wanted = [(configuration.key, k) for configuration, k in plan.shard(*(shard or (1, 1)))]
-    done = [run for run in wanted if run in stored]
-    wanted_counts, done_counts = (Counter(key for key, _ in runs) for runs in (wanted, done))
+        in_store = plan.done(store, metrics)
+    planned = [(configuration.key, k) for configuration, k in plan.shard(*(shard or (1, 1)))]
+    stored = [run for run in planned if run in in_store]
+    planned_counts, stored_counts = (Counter(key for key, _ in runs) for runs in (planned, stored))
     rows = [("runs", "stored", *plan.configurations[0].settings)]
     for configuration in plan.configurations:
-        numbers = str(wanted_counts[configuration.key]), str(done_counts[configuration.key])
+        numbers = str(planned_counts[configuration.key]), str(stored_counts[configuration.key])
         rows.append((*numbers, *map(text, configuration.columns.values())))
     rule = ""
     if until:
         metric, width = until
         least = min(FIRST_LOOK, plan.reps)
         rule = f" at most, and at least {least} of each, until the half width of {metric} is {width:g}"
-    head = f"{plan.base.name}: {counted(len(plan.configurations), 'configuration')}, {counted(len(wanted), 'run')}"
-    echo(f"{head}{rule}; {len(done):,} stored, {len(wanted) - len(done):,} to do\n{aligned(rows, right_from=0)}")
+    head = f"{plan.base.name}: {counted(len(plan.configurations), 'configuration')}, {counted(len(planned), 'run')}"
+    progress = f"{len(stored):,} stored, {len(planned) - len(stored):,} to do"
+    echo(f"{head}{rule}; {progress}\n{aligned(rows, right_from=0)}")
 
 
 def _write_summary(

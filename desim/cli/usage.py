@@ -133,9 +133,7 @@ def check_hyphens(words: Iterable[str], context: click.Context) -> None:
 def check_empty(words: Sequence[str], context: click.Context) -> None:
     """Raise UsageError if the value of an option is empty: -o "$OUT" where OUT is not set would mean this folder.
 
-    Args:
-        words: the words after the name of the program.
-        context: a context of the program.
+    The arguments are those of `check_hyphens`.
     """
     for before, word in zip(("", *words), words, strict=False):
         option, equals, value = word.partition("=") if word.startswith("--") else (before, "", word)
@@ -268,11 +266,7 @@ def options_given(names: Collection[str]) -> dict[str, str]:
 
 
 def spelled(name: str) -> str:
-    """Return an option of the current command as the user has typed it, "-n" for instance; else its long form.
-
-    Args:
-        name: the name of the parameter.
-    """
+    """Return the option of a parameter as the user has typed it, "-n" for instance; else its long form."""
     context = click.get_current_context()
     option = next(parameter for parameter in context.command.params if parameter.name == name)
     for word in reversed(context.meta.get(WORDS, ())):

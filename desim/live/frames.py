@@ -111,8 +111,8 @@ class Mirror:
         self._replace(profile)
 
     def _replace(self, profile: list[int]) -> None:
-        for pursuer, (before, after) in enumerate(zip(self.state.profile, profile, strict=True)):
-            if before != after:
+        for pursuer, (old_action, new_action) in enumerate(zip(self.state.profile, profile, strict=True)):
+            if old_action != new_action:
                 self.state.acting_since[pursuer] = self.state.now
         if profile != self.state.profile:
             self.state.set_actions(np.array(profile, dtype=np.int64))

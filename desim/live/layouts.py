@@ -89,19 +89,19 @@ class Layout:
         """Return the numbers of a body, those of a fixed count first, and its records."""
         if self._is_plain:
             return list(body), ()
-        numbers, rest, records = list[Any](), list[Any](), ()
+        numbers, items, records = list[Any](), list[Any](), ()
         for (form, *_), value in zip(self._parts, body, strict=True):
             if form is FieldForm.TUPLE:
                 numbers += value
             elif form is FieldForm.LIST:
-                rest += value
+                items += value
             elif form is FieldForm.PLACES:
-                rest += [place << PLACE | item for place, item in enumerate(value) if item is not None]
+                items += [place << PLACE | item for place, item in enumerate(value) if item is not None]
             elif form is FieldForm.RECORDS:
                 records = value
             else:
                 numbers.append(value)
-        return numbers + rest, records
+        return numbers + items, records
 
     def pack(self, numbers: list[Any]) -> bytes:
         """Return the bytes of numbers."""

@@ -17,8 +17,7 @@ class Lines(asyncio.Protocol):
         lost: called once, when the connection has ended.
 
     Attributes:
-        hear: see above.
-        lost: see above.
+        hear, lost: see above; they may be replaced.
         ended: is done when the connection has ended.
     """
 

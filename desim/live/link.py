@@ -170,12 +170,12 @@ class SocketLinkLayer(LinkLayer):
     def _is_replay(self, parcel: Parcel) -> bool:
         """Return whether a datagram has arrived before; note that it has arrived now."""
         number, src, *_ = parcel
-        seen = self._seen[src]
-        if number in seen:
+        numbers = self._seen[src]
+        if number in numbers:
             return True
-        seen[number] = None
-        if len(seen) > REMEMBERED:
-            del seen[next(iter(seen))]
+        numbers[number] = None
+        if len(numbers) > REMEMBERED:
+            del numbers[next(iter(numbers))]
         return False
 
     def _deliver(self, parcel: Parcel, size: int, start: int, now: int, *, is_copy: bool = False) -> None:

@@ -45,9 +45,9 @@ def within_namespace(namespace: str) -> Iterator[None]:
         yield
         return
     libc: Any = ctypes.CDLL(None, use_errno=True)
-    home, there = os.open("/proc/self/ns/net", os.O_RDONLY), os.open(FOLDER / namespace, os.O_RDONLY)
+    home, target = os.open("/proc/self/ns/net", os.O_RDONLY), os.open(FOLDER / namespace, os.O_RDONLY)
     try:
-        if libc.setns(there, CLONE_NEWNET):
+        if libc.setns(target, CLONE_NEWNET):
             raise OSError(ctypes.get_errno(), f"the namespace {namespace} cannot be entered")
         try:
             yield
@@ -55,7 +55,7 @@ def within_namespace(namespace: str) -> Iterator[None]:
             libc.setns(home, CLONE_NEWNET)
     finally:
         os.close(home)
-        os.close(there)
+        os.close(target)
 
 
 @contextmanager
@@ -113,25 +113,21 @@ def _netem_commands(scenario: Scenario) -> tuple[list[str], Mapping[str, tuple[i
 
 
 def _shape(name: str, commands: list[str], tables: Mapping[str, tuple[int, ...]]) -> None:
-    """Run the commands of tc in a namespace.
-
-    Raises:
-        NamespaceError: if one fails.
-    """
+    """Run the commands of tc in a namespace; raise NamespaceError if one of them fails."""
     with TemporaryDirectory() as folder:
         for table, numbers in tables.items():
             (Path(folder) / f"{table}.dist").write_text(table_text(numbers, table), encoding="utf-8")
         environment = {**os.environ, "TC_LIB_DIR": folder} if tables else None  # where tc looks for tables
         for command in commands:
-            done = subprocess.run(
+            result = subprocess.run(
                 ["ip", "netns", "exec", name, *shlex.split(command)],
                 check=False,
                 capture_output=True,
                 text=True,
                 env=environment,
             )
-            if done.returncode:
-                why = done.stderr.strip() or done.stdout.strip()
+            if result.returncode:
+                why = result.stderr.strip() or result.stdout.strip()
                 raise NamespaceError(
                     f"--netem: `{command}` failed here: {why}; the kernel may lack CONFIG_NET_SCH_NETEM; without"
                     " --netem the receivers draw the links"
@@ -139,14 +135,10 @@ def _shape(name: str, commands: list[str], tables: Mapping[str, tuple[int, ...]]
 
 
 def _ip(*words: str) -> None:
-    """Run `ip` with some words as its arguments.
-
-    Raises:
-        NamespaceError: if it fails.
-    """
+    """Run `ip` with some words as its arguments; raise NamespaceError if it fails."""
     try:
-        done = subprocess.run(["ip", *words], check=False, capture_output=True, text=True)
+        result = subprocess.run(["ip", *words], check=False, capture_output=True, text=True)
     except FileNotFoundError as error:
         raise NamespaceError("network namespaces need the command ip (iproute2) of Linux") from error
-    if done.returncode:
-        raise NamespaceError(f"network namespaces cannot be used here: ip {' '.join(words)}: {done.stderr.strip()}")
+    if result.returncode:
+        raise NamespaceError(f"network namespaces cannot be used here: ip {' '.join(words)}: {result.stderr.strip()}")

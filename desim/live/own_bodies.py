@@ -140,10 +140,9 @@ def _names_around(protocol: Any) -> dict[str, Any]:
 
 
 def _restored(kind: Any, parts: list[Any]) -> Any:
-    """Return a named tuple or a dataclass as it was sent: its `__init__` might change it once more.
+    """Return a named tuple or a dataclass as it was sent, without its `__init__`, which might change it once more.
 
-    Raises:
-        ValueError: if it has another number of fields.
+    Raise ValueError if the class has another number of fields.
     """
     names = kind._fields if issubclass(kind, tuple) else [field.name for field in fields(kind)]
     if len(names) != len(parts):

@@ -63,8 +63,8 @@ class _Pursuer:
                 self._tell(f"no referee at {start.referee[0]}, port {start.referee[1]}: {why}")
             return ALONE
         with within_namespace(start.namespace):
-            here, mailbox = (udp_socket((start.host, 0)) for _ in range(2))
-        addresses = self._node.bind(here), self._node.bind_mailbox(mailbox)
+            main_socket, mailbox = (udp_socket((start.host, 0)) for _ in range(2))
+        addresses = self._node.bind(main_socket), self._node.bind_mailbox(mailbox)
         lines.tell("hello", start.pursuer, start.token, start.scenario, addresses)
         while True:
             match await received.get():
@@ -92,8 +92,7 @@ class _Pursuer:
     async def _measured_offset(self, received: "asyncio.Queue[Any]") -> int:
         """Return by how much the clock of the referee is ahead, ns, as the fastest of several exchanges shows it.
 
-        Raises:
-            ConnectionError: if the connection ends, or a line comes that is no answer.
+        Raise ConnectionError if the connection ends, or a line comes that is no answer.
         """
         fastest = (1 << 62, 0)  # the duration of an exchange and the offset that it shows, ns
         for _ in range(EXCHANGES):
@@ -162,8 +161,8 @@ class _Pursuer:
         link, trace = self._node.link, self._node.trace
         sent = [(*rest, datagram.hex()) for *rest, datagram in link.departures]
         self._lines.tell("report", sent, list(link.outcomes), list(map(line_of, trace.events)))
-        for taken in (link.departures, link.outcomes, trace.events):
-            taken.clear()
+        for reported in (link.departures, link.outcomes, trace.events):
+            reported.clear()
 
     async def _leave(self, cpu: float) -> None:
         """Send the last report, and how the run went, and close the connection."""

@@ -135,9 +135,9 @@ class Referee:
     def _obey(self, pursuer: int, decided: int, action: int) -> None:
         """Let a pursuer act as its protocol decided at the time `decided`, ns."""
         self._obeyed[pursuer] += 1
-        before = self._state.profile[pursuer]
+        old_action = self._state.profile[pursuer]
         self._world.set_action(pursuer, action)
-        if self._state.profile[pursuer] != before:
+        if self._state.profile[pursuer] != old_action:
             self._conduct.orders.append(max(self._env.now - decided, 0))
             self._send_frame_soon()
 

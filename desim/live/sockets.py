@@ -28,11 +28,7 @@ _TIMESPEC = Struct("@ll")
 
 
 def checked_address(value: Any) -> Address:
-    """Return an address.
-
-    Raises:
-        ValueError: if it is not a host and a port.
-    """
+    """Return an address; raise ValueError if it is not a host and a port."""
     match value:
         case [str(host), int(port)] if 0 <= port < 1 << 16 and port is not True and port is not False:
             return host, port

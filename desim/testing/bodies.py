@@ -213,11 +213,11 @@ class _Body:
         headings = np.exp(1j * rng.uniform(-pi, pi, count))
         speeds = np.array([2.0, 0.5, 0.9, 2.0, 3.0, 1.5, 2.0, 1.0])
         courses = Courses(headings * speeds * (np.arange(count) % 2), headings)
-        before = [array.tobytes() for array in (offsets, *courses, speeds)]
+        original = [array.tobytes() for array in (offsets, *courses, speeds)]
         times = self._times(offsets, courses, speeds)
         call = "capture_times(offsets, courses, speeds, evader_speed, radius)"
-        same = before == [array.tobytes() for array in (offsets, *courses, speeds)]
-        self.tested.require(same, f"{call} changes one of its arrays; copy it")
+        is_unchanged = original == [array.tobytes() for array in (offsets, *courses, speeds)]
+        self.tested.require(is_unchanged, f"{call} changes one of its arrays; copy it")
         least = RadialTime(speeds, EVADER_SPEED, CAPTURE_RADIUS)(lengths(offsets))
         for k, (time, bound) in enumerate(zip(times.tolist(), least.tolist(), strict=True)):
             where = f"{call} of a pursuer of {speeds[k]} m/s at {abs(offsets[k]):.4g} m is {time:.6g} s"

@@ -194,11 +194,11 @@ def _check_ignored(tested: Subject, where: str, scenario: Scenario, result: Resu
             agent._may_ignore = False
 
     with tested.judged(where, limit):
-        taken = run_observed(scenario, SEED, (), begins)
+        without_ignoring = run_observed(scenario, SEED, (), begins)
     require_equal(
         tested,
         f"{where} is another one if no message is ignored",
-        [result, taken],
+        [result, without_ignoring],
         "`ignores` of me.listen should be true only of messages with which the function does nothing, now or later",
     )
     return any(agent._has_ignores for agent in agents)
@@ -242,10 +242,13 @@ class _Decisions:
         if event.active == self._actions[event.pursuer]:
             return
         self._actions[event.pursuer] = event.active
-        before = self._untold.get(event.pursuer)
-        if before is not None and before < event.t and self._traits.announces is True and len(self._actions) > 1:
+        last_change = self._untold.get(event.pursuer)
+        must_announce = self._traits.announces is True and len(self._actions) > 1
+        if (
+            must_announce and last_change is not None and last_change < event.t
+        ):  # one message tells simultaneous changes
             self._tested.fail(
-                f"pursuer {event.pursuer} changes its action at {seconds(before):g} s and again at"
+                f"pursuer {event.pursuer} changes its action at {seconds(last_change):g} s and again at"
                 f" {seconds(event.t):g} s, and sends no message between: call me.announce() after me.assign(action), or"
                 " set announces = False"
             )

@@ -59,10 +59,10 @@ def check_flow(flow: Any, *, limit: float = 10.0) -> None:
 def _velocities(tested: Subject, places: Points, t: float) -> Points:
     """Return the velocities at some places, and require that they are valid and the places unchanged."""
     call = f"flow(places, {t:g}) with {len(places)} places"
-    before = places.copy()
+    original = places.copy()
     with tested.blaming(call), tested.fresh() as model:
         velocities = Environment(flow=model).velocities(places, t)
-    tested.require(np.array_equal(places, before), f"{call} changes the places; copy them")
+    tested.require(np.array_equal(places, original), f"{call} changes the places; copy them")
     return np.asarray(velocities, dtype=complex)
 
 

@@ -56,18 +56,19 @@ class PathWatcher:
     def _check_paths(self, before: Started | Sampled, after: Started | Sampled) -> None:
         """Check the path of each player between two samples."""
         begin, end = (complex_points([*event.pursuers, *event.evaders]) for event in (before, after))
-        passed = seconds(after.t - before.t)
+        duration = seconds(after.t - before.t)
         for player in (begin != end).nonzero()[0].tolist():
             source, target = begin[player : player + 1], end[player : player + 1]
             if not crossings(coordinates(source), coordinates(target), self._segments, ROUNDING).any():
                 continue
-            length, reach = self._space.distance(complex(source[0]), complex(target[0])), self._speeds[player] * passed
+            length = self._space.distance(complex(source[0]), complex(target[0]))
+            reach = self._speeds[player] * duration
             self.judged += 1
             if not length <= reach + ROUNDING * (1.0 + reach):
                 raise AssertionError(
                     f"no path crosses a wall: up to {seconds(after.t)} s player {player} of {len(begin)} (the"
-                    f" {len(after.pursuers)} pursuers come first) came from {source[0]:g} to {target[0]:g} in {passed}"
-                    f" s, but the shortest path around walls is {length} m long, and it can go {reach} m"
+                    f" {len(after.pursuers)} pursuers come first) came from {source[0]:g} to {target[0]:g} in"
+                    f" {duration} s, but the shortest path around walls is {length} m long, and it can go {reach} m"
                 )
 
     def _check_capture(self, capture: Captured, event: Started | Sampled) -> None:

@@ -364,10 +364,10 @@ class PotentialWatcher:
 
     def __call__(self, event: Event) -> None:
         """Process an event."""
-        before = self._active.profile.copy()
+        profile_before = self._active.profile.copy()
         self._active(event)
         if isinstance(event, Decided):
-            self._pending.append((event, before, self._active.profile.copy()))
+            self._pending.append((event, profile_before, self._active.profile.copy()))
         elif isinstance(event, Started):
             self._speeds = np.array(event.speeds)
         if isinstance(event, Started | Sampled):

@@ -123,9 +123,9 @@ def _check_forgets(tested: Subject, judge: Any, new: Any, limit: float) -> None:
     with tested.judged("forget()", limit):
         judge.forget()
     with tested.judged("believes(record) after forget()", limit):
-        kept, expected = believed(judge, range(4, 0, -1)), believed(new, range(4, 0, -1))
+        answers, expected = believed(judge, range(4, 0, -1)), believed(new, range(4, 0, -1))
     tested.require(
-        kept == expected,
-        f"forget() should forget all evidence: believes(record) about teammates then answers {kept}, and that of a new"
-        f" judge {expected}",
+        answers == expected,
+        f"forget() should forget all evidence: believes(record) about teammates then answers {answers}, and that of a"
+        f" new judge {expected}",
     )
