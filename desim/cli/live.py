@@ -4,7 +4,7 @@ import json
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
 import click
 
@@ -165,10 +165,10 @@ def conduct_lines(results: "Sequence[LiveResult]") -> str:
     from desim.kernel.core.portable_math import portable_sum
     from desim.live.result import lateness_of
 
-    timers, deliveries, orders = (lateness_of(results, name) for name in ("timers", "deliveries", "orders"))
+    timers, deliveries, actions = (lateness_of(results, name) for name in ("timers", "deliveries", "orders"))
     drops = [int(portable_sum(counts)) for counts in zip(*(result.conduct.dropped for result in results), strict=True)]
     return (
-        f"live: late by at most, in 50 %, 99 % and 100 %: timers {timers}, deliveries {deliveries}, actions {orders}\n"
+        f"live: late by at most, in 50 %, 99 % and 100 %: timers {timers}, deliveries {deliveries}, actions {actions}\n"
         f"datagrams dropped: {drops[0]} malformed, {drops[1]} foreign, {drops[2]} replayed"
     )
 
@@ -208,8 +208,8 @@ def _hosts(file: Path, count: int) -> list[str]:
     return list(hosts.values())
 
 
-def _join(scenario: "Scenario", invitation: str) -> None:
-    """Be one pursuer of a run whose referee is on another host."""
+def _join(scenario: "Scenario", invitation: str) -> NoReturn:
+    """Be one pursuer of a run whose referee is on another host; end the program with the exit code of the pursuer."""
     from desim.live.pursuer import play
     from desim.live.start import PursuerStart
 

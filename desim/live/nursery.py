@@ -75,6 +75,7 @@ class Nursery:
         run = len(self._ended)
         self._ended.append(ended)
         self._alive |= {(run, start.pursuer) for start in starts}
+        # Only a call is packed, so the scenario and the starts are the result of one; `sys.path` has to be set before.
         task = pickle.dumps((run, sys.path, packed(partial(tuple, (scenario, starts)))))
         assert self._process.stdin is not None
         with suppress(ConnectionError):  # if the nursery has ended, which `_watch` tells
@@ -106,23 +107,24 @@ def serve() -> None:
     """Fork a process for each pursuer that standard input names, and print run, number and status of each that ends."""
     for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(name, signal.SIG_IGN)  # the caller decides when all end
-    numbers: dict[int, tuple[int, int]] = {}
+    children: dict[int, tuple[int, int]] = {}
+    """The number of the run and of the pursuer of each child, by its process id."""
     is_open = True
     while is_open:
-        readable, _, _ = select.select([0], [], [], POLL if numbers else None)
+        readable, _, _ = select.select([0], [], [], POLL if children else None)
         if readable:
-            is_open = _serve(numbers)
-        _reap(numbers)
+            is_open = _serve(children)
+        _reap(children)
     deadline = monotonic() + GRACE
-    while numbers:
-        _reap(numbers)
+    while children:
+        _reap(children)
         select.select([], [], [], POLL)
-        for child in numbers if monotonic() > deadline else ():
+        for child in children if monotonic() > deadline else ():
             with suppress(ProcessLookupError):
                 os.kill(child, signal.SIGKILL)
 
 
-def _serve(numbers: dict[int, tuple[int, int]]) -> bool:
+def _serve(children: dict[int, tuple[int, int]]) -> bool:
     """Read one task, and fork its processes; return False at the end of standard input, which may be within a task."""
     if not (content := _read(int.from_bytes(_read(8), "big"))):
         return False
@@ -136,7 +138,7 @@ def _serve(numbers: dict[int, tuple[int, int]]) -> bool:
     for start in starts:
         if (child := os.fork()) == 0:
             _die_with_parent()
-            os.close(0)
+            os.close(0)  # the nursery alone reads tasks
             code = 1
             try:
                 code = play(scenario, start)
@@ -145,7 +147,7 @@ def _serve(numbers: dict[int, tuple[int, int]]) -> bool:
             finally:
                 sys.stderr.flush()
                 os._exit(code)
-        numbers[child] = run, start.pursuer
+        children[child] = run, start.pursuer
     return True
 
 
@@ -157,14 +159,14 @@ def _read(length: int) -> bytes:
     return parts if len(parts) == length else b""
 
 
-def _reap(numbers: dict[int, tuple[int, int]]) -> None:
+def _reap(children: dict[int, tuple[int, int]]) -> None:
     """Tell which children have ended."""
-    while numbers:
+    while children:
         child, status = os.waitpid(-1, os.WNOHANG)
         if not child:
             return
         with suppress(OSError):
-            print(*numbers.pop(child), os.waitstatus_to_exitcode(status), flush=True)
+            print(*children.pop(child), os.waitstatus_to_exitcode(status), flush=True)
 
 
 def _die_with_parent() -> None:

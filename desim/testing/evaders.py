@@ -51,8 +51,8 @@ class _Case(NamedTuple):
         if self.is_reached and self.pursuers:
             pursuers[-1] = evader
         state = State(300_000_000, pursuers, evader, np.arange(self.pursuers) % 2 == 0)
-        speeds = np.linspace(1.0, 2.0, self.pursuers)
-        return EvaderObservation(state, speeds, 0.9, 0.1, self.heading, 0.01 if self.heading else 0.0, self.handover)
+        speeds, elapsed = np.linspace(1.0, 2.0, self.pursuers), 0.01 if self.heading else 0.0
+        return EvaderObservation(state, speeds, 0.9, 0.1, self.heading, elapsed, self.handover)
 
 
 @naming_arguments
@@ -73,8 +73,9 @@ def check_evader(strategy: Any, *, limit: float = 10.0) -> None:
     """
     tested = subject(strategy, STRATEGIES, "strategy of an evader")
     with tested.judged("strategy(state, rng)", limit):
-        for case in map(_Case._make, product((0, 1, 2, 5), (0j, rect(1.0, 0.7)), (False, True), (False, True))):
-            _check(tested, case)
+        numbers, headings, truths = (0, 1, 2, 5), (0j, rect(1.0, 0.7)), (False, True)
+        for case in product(numbers, headings, truths, truths):
+            _check(tested, _Case(*case))
     # An evader with a recorded motion begins where its record begins.
     place = {} if hasattr(tested.model, "start") else {"position": (9.0, 8.0)}
     for where, keys, pursuers, evaders in _SITUATIONS:
@@ -106,7 +107,7 @@ def _heading(tested: Subject, case: _Case) -> complex:
         after: Any = getattr(state, name, None)
         tested.require(np.array_equal(after, value), f"{case} changes state.{name} from {value} to {after}; copy it")
     heading = as_complex(answer)
-    if heading != heading:
+    if heading != heading:  # nan, which `as_complex` returns if the answer is no number
         expected = "a heading: a finite complex number x + 1j * y of length at most 1"
         tested.fail(f"{case} returns {value_text(answer)}, expected {expected}")
     length = abs(heading)
