@@ -36,6 +36,8 @@ HAS_THREADS = sys.platform not in {"emscripten", "wasi"}
 """Whether this Python can start threads; that of a browser (Pyodide) cannot, and has no timers of signals either."""
 RAISE_INTERVAL = 0.1
 """Interval, s, at which the exception of a limit is raised again if it was lost."""
+SOON = 1e-6
+"""The shortest delay of a timer, s: 0 would stop it."""
 
 
 class TimedOut(BaseException):
@@ -136,10 +138,22 @@ class _Alarm(_Limit):
     """The time limit of a block of the main thread, which a signal interrupts."""
 
     def __enter__(self) -> None:
-        self._begin = monotonic()
+        self._begin, self._other_due, self._other_interval = monotonic(), inf, 0.0
         self._handler = signal.signal(signal.SIGALRM, self._ring)
-        self._other_delay, self._other_interval = signal.getitimer(signal.ITIMER_REAL)  # of the earlier timer; 0: none
-        signal.setitimer(signal.ITIMER_REAL, min(self._limit, self._other_delay or inf), RAISE_INTERVAL)
+        self._take_timer()
+
+    def _take_timer(self) -> None:
+        """Note when the earlier timer is due, and let the timer ring then or, if that is sooner, at the limit."""
+        delay, self._other_interval = signal.getitimer(signal.ITIMER_REAL)
+        now, end = monotonic(), self._begin + self._limit
+        self._other_due = now + delay if delay else inf
+        wait = min(end - now if now < end else RAISE_INTERVAL, self._other_due - now)
+        signal.setitimer(signal.ITIMER_REAL, max(wait, SOON), RAISE_INTERVAL)
+
+    def _return_timer(self) -> None:
+        """Set the timer as the earlier one would be now."""
+        delay = max(self._other_due - monotonic(), SOON) if self._other_due < inf else 0.0
+        signal.setitimer(signal.ITIMER_REAL, delay, self._other_interval)
 
     def _ring(self, number: int, frame: FrameType | None) -> None:
         """Call the handler of the earlier timer if that one is due, and raise the exception if the limit has passed.
@@ -148,10 +162,18 @@ class _Alarm(_Limit):
         `is_late` itself; a callback of a weak reference or of the garbage collector, where Python would only print the
         exception; and code that sets handlers of signals or puts them back.
         """
-        elapsed = monotonic() - self._begin
-        if self._other_delay and elapsed >= self._other_delay and callable(self._handler):
-            self._handler(number, frame)
-        if self.is_over or elapsed < self._limit:
+        now = monotonic()
+        if now >= self._other_due:
+            interval = self._other_interval
+            self._other_due += interval * ((now - self._other_due) // interval + 1.0) if interval else inf
+            self._return_timer()  # the handler may read it or set it anew
+            try:
+                if callable(self._handler):
+                    self._handler(number, frame)
+            finally:
+                if not self.is_over:
+                    self._take_timer()
+        if self.is_over or now < self._begin + self._limit:
             return
         self.is_late = True
         if not (_is_in(sys.exception(), self._raised) or (frame and _is_quiet(frame))):
@@ -161,10 +183,7 @@ class _Alarm(_Limit):
         self.is_over = True
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, self._handler)
-        if self._other_delay:
-            delay = self._begin + self._other_delay - monotonic()
-            # At least 1 us, because 0 would stop the timer.
-            signal.setitimer(signal.ITIMER_REAL, max(delay, 1e-6), self._other_interval)
+        self._return_timer()
 
 
 class _Watch(_Limit):

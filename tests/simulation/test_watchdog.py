@@ -12,6 +12,7 @@ import warnings
 import weakref
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import field, make_dataclass, replace
+from math import inf
 from pathlib import Path
 from threading import Barrier, Event, Thread
 from types import FunctionType, SimpleNamespace
@@ -282,6 +283,26 @@ def test_a_timer_of_the_caller_goes_on():
         signal.setitimer(signal.ITIMER_REAL, *left)
 
 
+@pytest.mark.parametrize(("interval", "rings"), [(0.0, 1), (0.05, 4)])
+def test_a_timer_of_the_caller_rings_at_its_own_times(interval, rings):
+    """Once, or at its interval, not at that at which the exception is raised again; and not when the block ends."""
+    rung = []
+    usual = signal.signal(signal.SIGALRM, lambda *_: rung.append(time.monotonic()))
+    left = signal.setitimer(signal.ITIMER_REAL, 0.05, interval)
+    try:
+        start = time.monotonic()
+        with within(9.0), within(9.0):
+            while time.monotonic() < start + 0.225:
+                pass
+        assert signal.getitimer(signal.ITIMER_REAL)[1] == pytest.approx(interval, abs=1e-3)
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        assert len(rung) <= rings  # a busy machine may skip some
+        assert rung[0] - start >= 0.049
+    finally:
+        signal.signal(signal.SIGALRM, usual)
+        signal.setitimer(signal.ITIMER_REAL, *left)
+
+
 def test_an_interrupt_is_not_taken_for_it(look):
     def interrupted():
         try:
@@ -465,7 +486,7 @@ def test_an_alarm_waits_for_the_end_of_what_it_would_break(codes, monkeypatch):
     """In a callback Python would print the exception and go on; `deferred` would not put the handlers back."""
     monkeypatch.setattr(gc, "callbacks", [*gc.callbacks, print, collected])
     alarm = watchdog._Alarm(0.001)
-    alarm._begin, alarm._other_delay, alarm._handler = time.monotonic() - 1.0, 0.0, None
+    alarm._begin, alarm._other_due, alarm._handler = time.monotonic() - 1.0, inf, None
     alarm._ring(signal.SIGALRM, frames(*codes))
     assert alarm.is_late
     for frame in (None, frames(FREE, FREE), frames(collected.__code__, FREE)):
