@@ -35,7 +35,7 @@ SETTING = Setting(loss=0.0)
 
 @dataclass(frozen=True)
 class Cell:
-    """The results of one way to announce on one channel."""
+    """The results of one way to announce on one channel; times are in s."""
 
     channel: str
     """Doppler frequency, Hz, or `NONE`."""

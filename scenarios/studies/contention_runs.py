@@ -61,7 +61,7 @@ SPREADING_FACTORS = tuple(range(7, 13))
 
 @dataclass(frozen=True)
 class Pursuits:
-    """The results of the pursuits under one protocol and one access model at one offered load."""
+    """The results of the pursuits under one protocol and one access model at one offered load; times are in s."""
 
     protocol: str
     access: str
@@ -79,7 +79,7 @@ class Pursuits:
 
 @dataclass(frozen=True)
 class Age:
-    """The mean age of information in one team at one heartbeat."""
+    """The mean age of information, s, in one team at one heartbeat, s."""
 
     access: str
     size: int
@@ -89,7 +89,7 @@ class Age:
 
 @dataclass(frozen=True)
 class LoRaPursuits:
-    """The shortest time between two announcements in a LoRa network, and the duration of the pursuits."""
+    """The shortest time between two announcements in a LoRa network, and the duration of the pursuits, s."""
 
     spreading_factor: int
     airtime: float

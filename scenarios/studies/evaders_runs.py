@@ -85,7 +85,7 @@ kind of estimate."""
 
 @dataclass(frozen=True)
 class Cell:
-    """The results of one strategy against one protocol, means over the runs."""
+    """The results of one strategy against one protocol, means over the runs; times are in s."""
 
     strategy: str
     protocol: str
@@ -103,7 +103,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Sighted:
-    """The results of one sensing radius and one estimate, means over the runs."""
+    """The results of one sensing radius and one estimate, means over the runs; times are in s."""
 
     radius: float
     """Sensing radius R_s, m."""

@@ -76,12 +76,11 @@ class Generation:
 
 @dataclass(frozen=True)
 class Cell:
-    """The cost of one rule at one latency."""
+    """The cost of one rule at one latency; all numbers are in s."""
 
     rule: str
     latency: float
     cost: float
-    """s"""
     standard_error: float
 
 

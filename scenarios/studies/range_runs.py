@@ -48,7 +48,7 @@ REFERENCE = "component"
 
 @dataclass(frozen=True)
 class Games:
-    """Statistics of the games at t = 0 of one team at one range."""
+    """Statistics of the games at t = 0 of one team at one range, m."""
 
     team: str
     range: float
@@ -63,7 +63,7 @@ class Games:
 
 @dataclass(frozen=True)
 class Pursuits:
-    """The results of the pursuits of one team under one protocol at one range, means over the runs."""
+    """The results of the pursuits of one team under one protocol at one range (m); times are means over the runs, s."""
 
     team: str
     range: float

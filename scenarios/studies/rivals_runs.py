@@ -44,7 +44,7 @@ LEARNED = "policy"
 class Cell:
     """The results of one protocol in one scenario at one latency.
 
-    They are means over the runs, except rates, which are quotients of totals over the runs.
+    They are means over the runs, except rates, which are quotients of totals over the runs. Times are in s.
     """
 
     world: str

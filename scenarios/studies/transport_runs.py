@@ -109,7 +109,7 @@ class Run(NamedTuple):
 
 @dataclass(frozen=True)
 class Cell:
-    """The results of one way to announce in one setting."""
+    """The results of one way to announce in one setting; times are in s."""
 
     swept: str
     """The property that varies."""
