@@ -245,10 +245,10 @@ def best_chasers(phi: Sequence[Mapping[int, float]], reward: float) -> dict[int,
 
 
 def most_chasers(phi: Sequence[Mapping[int, float]], silent: Mapping[int, int], reward: float) -> dict[int, int]:
-    """Return the chasers, by evader (1 .. M), if silent ones may go on: as many as possible, and the best so many.
+    """Return the chasers, by evader (1 .. M), if silent ones may go on: as many as possible, in the best assignment.
 
     A silent chaser counts as one that would just be in time for its evader and late for all others. It is therefore
-    replaced if another pursuer can take its place, because it may be silent because it is down.
+    replaced if another pursuer can take its place: it may be down.
 
     Args:
         phi: for each of the M evaders the capture times, s, of the pursuers that may chase it, without silent chasers.

@@ -22,10 +22,10 @@ TURNS = "turns"
 
 
 class _Turns:
-    """What the two sides of an episode share.
+    """The state that the two sides of an episode share: the run in its greenlet, and the caller.
 
-    The run refers to this object and not to the episode: greenlets keep what their stacks refer to, and the garbage
-    collector does not look into them.
+    The run refers to this object and not to the episode: greenlets keep the objects to which their stacks refer, and
+    the garbage collector does not look into them.
     """
 
     def __init__(self) -> None:

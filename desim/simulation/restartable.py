@@ -20,9 +20,9 @@ PROCESS = "a protocol, or another process of a pursuer,"
 class RestartableProcess(simpy.Process):
     """A process of a pursuer that runs a behaviour (its protocol or dissemination) and survives crashes of the robot.
 
-    It is running, suspended (the robot is down) or finished. After a recovery with memory it waits for the same event,
-    or continues at the instant of the recovery if the event has happened meanwhile. After a recovery without memory it
-    starts the behaviour anew. A process that finished before the crash stays finished.
+    The process is running, suspended (the robot is down) or finished. After a recovery with memory it waits for the
+    same event, or continues at the instant of the recovery if the event has happened meanwhile. After a recovery
+    without memory it starts the behaviour anew. A process that finished before the crash stays finished.
     """
 
     def __init__(self, env: Clock, agent: Agent, protocol: Behaviour, phase: Phase):
@@ -47,7 +47,7 @@ class RestartableProcess(simpy.Process):
                 # The cause of the interrupt is the recovery, an event whose value is whether the robot kept its memory.
                 remembers = yield cast("simpy.Event", crash.cause)
                 if remembers:
-                    if missed is None and awaited.processed:
+                    if missed is None and awaited.processed:  # else the robot crashed again before it resumed
                         missed = awaited
                 elif self.behaviour is not None:
                     try:

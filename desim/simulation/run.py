@@ -208,7 +208,7 @@ def _simulate(
 
 
 def _chasers(truth: View) -> list[int]:
-    """Return the pursuers that chase an evader, in the order in which they would capture it."""
+    """Return the pursuers that chase an evader, in the order of their capture times."""
     chasing: defaultdict[int, list[int]] = defaultdict(list)
     for pursuer, evader in enumerate(truth.state.profile):
         if evader:
