@@ -83,10 +83,10 @@ def fitting(base: Scenario, published: dict[float, float], draws: int, seed: int
         team = rng.uniform(*base.team.box, (BATCH, count, 2)).round(3)
         evader = rng.uniform(*base.evaders[0].box, (BATCH, 2)).round(3)
         for delta, time in sorted(published.items(), reverse=True):  # the fastest test first: it has the fewest steps
-            z, e = team[..., 0] + 1j * team[..., 1], evader[:, 0] + 1j * evader[:, 1]
-            fits = np.abs(centralised_times(z, e, base, delta) / time - 1.0) < TOLERANCE
-            team, evader = team[fits], evader[fits]
-        candidates += [_placed(base, *places) for places in zip(team.tolist(), evader.tolist(), strict=True)]
+            places = team[..., 0] + 1j * team[..., 1], evader[:, 0] + 1j * evader[:, 1]
+            does_fit = np.abs(centralised_times(*places, base, delta) / time - 1.0) < TOLERANCE
+            team, evader = team[does_fit], evader[does_fit]
+        candidates += [_placed(base, *positions) for positions in zip(team.tolist(), evader.tolist(), strict=True)]
     return candidates
 
 
@@ -105,11 +105,12 @@ def misfits(candidates: list[Scenario], published: dict[float, float], runs: dic
     `published` contains the published decentralised active time, s, for each delta (s), and `runs` the number of runs
     for some of them. The misfit is summed over the delta in `runs`.
     """
-    cells = [(c, delta) for c in candidates for delta in runs]
-    tasks = [(decentralised(c, delta), seed) for c, delta in cells for seed in seeds_from(ROOT_SEED, runs[delta])]
+    cells = [(decentralised(candidate, delta), delta) for candidate in candidates for delta in runs]
+    tasks = [(scenario, seed) for scenario, delta in cells for seed in seeds_from(ROOT_SEED, runs[delta])]
     times = iter(run_many(tasks, 0, f"{len(candidates)} candidates", active_time))
-    ratios = [estimate([next(times) for _ in range(runs[d])]).mean / published[d] for _, d in cells]
-    return [portable_sum(log(r) ** 2 for r in ratios[k : k + len(runs)]) for k in range(0, len(ratios), len(runs))]
+    means = [estimate([next(times) for _ in range(runs[delta])]).mean for _, delta in cells]
+    squares = [log(mean / published[delta]) ** 2 for mean, (_, delta) in zip(means, cells, strict=True)]
+    return [portable_sum(squares[k : k + len(runs)]) for k in range(0, len(squares), len(runs))]
 
 
 def best(candidates: list[Scenario], published: dict[float, float]) -> Scenario:

@@ -34,7 +34,7 @@ PROTOCOLS: Mapping[str, Any] = MappingProxyType(
 )
 LIES: Mapping[str, tuple[type[ByzantineFault], Mapping[str, Any]]] = MappingProxyType(
     {
-        HONEST: (Silent, {}),
+        HONEST: (Silent, {}),  # not used: an honest team has no liar
         "there at once": (Liar, {"action": "chase", "phi": 0.0, "acts": "stay"}),
         "chases": (Liar, {"action": "chase", "acts": "stay"}),
         "opposite": (Liar, {"action": "opposite"}),
@@ -126,9 +126,13 @@ def keys() -> list[tuple[str, str, str, str, float]]:
 
 def scenario_of(part: str, protocol: str, lie: str, defence: str, value: float) -> Scenario:
     """Return the scenario of a cell."""
-    options_of_part: dict[str, Any] = {"lies": {}, "numbers": {"liars": int(value)}}.get(part, {})
-    options_of_part |= {"clocks": {"offset": value, "latency": LATE}, "latency": {"latency": value}}.get(part, {})
-    return pursuit(protocol, lie, defence, **options_of_part)
+    options_of_part: dict[str, dict[str, Any]] = {
+        "lies": {},
+        "numbers": {"liars": int(value)},
+        "clocks": {"offset": value, "latency": LATE},
+        "latency": {"latency": value},
+    }
+    return pursuit(protocol, lie, defence, **options_of_part[part])
 
 
 def measure(options: Options) -> list[Cell]:

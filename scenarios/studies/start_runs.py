@@ -125,7 +125,8 @@ def measure_shares(options: Options) -> list[Share]:
     shares = []
     for key in keys:
         prompt, delayed = np.array(next(times)), np.array(next(times))
-        shares.append(Share(*key, *(paired(delayed[:, k], prompt[:, k]) for k in range(2))))
+        late, in_time = (paired(delayed[:, k], prompt[:, k]) for k in range(2))  # the columns of `times_by_ability`
+        shares.append(Share(*key, late, in_time))
     return shares
 
 
@@ -189,7 +190,7 @@ def active_times(result: Result) -> list[float]:
     """Return the active time of each pursuer, s, in a pursuit of one evader."""
     (chase,) = evader_pursuits(result)
     times = [chase.end * is_active for is_active in chase.start]
-    for t, pursuer, step in chase.steps:
+    for t, pursuer, step in chase.steps:  # a step is 1 if the pursuer becomes active, and -1 if inactive
         times[pursuer] += step * (chase.end - t)
     return [time / SECOND for time in times]
 
