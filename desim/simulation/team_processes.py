@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class Crashing(Protocol):
-    """What takes pursuers down and up; see `desim.simulation.world.World`."""
+    """An object that takes pursuers down and up; see `desim.simulation.world.World`."""
 
     def crash(self, pursuer: int) -> None:
         """Take a pursuer down."""
@@ -39,7 +39,7 @@ class TeamProcesses:
         scenario: the experiment.
         world: takes pursuers down and up.
         agents: the agents whose processes run here, by pursuer: all of a simulation, one of a live node.
-        judges: by pursuer, what decides which announcements it believes; None: it believes all.
+        judges: by pursuer, the judge of the announcements that it receives; None: it believes all.
         sensor: the sensors of a team with limited sensing; None for any other team.
         liars: the lies of the team; None: all are honest.
 

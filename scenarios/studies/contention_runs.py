@@ -155,10 +155,10 @@ def share_lost(result: Result) -> float:
 def best_heartbeat(size: int) -> float:
     """Return the heartbeat, s, with the least age of information under ALOHA in theory.
 
-    A heartbeat h is received with p = exp(-a / h), a = 2 (N - 1) T. The waits have a coefficient of variation c, so the
-    mean age is T + h ((1 + c^2) / 2 + 1/p - 1), as of any renewal process (Yates et al. 2021, "Age of Information: An
-    Introduction and Survey"). It is least where e^x (1 - x) = (1 - c^2) / 2 with x = a / h. With Poisson heartbeats,
-    c = 1, the best h is a.
+    With an airtime T, a heartbeat h is received with p = exp(-a / h), a = 2 (N - 1) T. With a jitter J, the coefficient
+    of variation c of the waits is given by c^2 = J^2 / 3, so the mean age is T + h ((1 + c^2) / 2 + 1/p - 1), as of any
+    renewal process (Yates et al. 2021, "Age of Information: An Introduction and Survey"). It is least where
+    e^x (1 - x) = (1 - c^2) / 2 with x = a / h. With Poisson heartbeats, c = 1, the best h is a.
     """
     squared_variation = JITTER**2 / 3
     x = brentq(lambda x: exp(x) * (1 - x) - (1 - squared_variation) / 2, 1e-6, 1.0)

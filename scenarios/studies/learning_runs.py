@@ -156,9 +156,9 @@ def notebook(options: Options) -> Notebook:
 def train(options: Options, notes: Notebook, latency: float) -> list[Generation]:
     """Return the generations of a training by the cross-entropy method (Rubinstein 1999) at a latency, s.
 
-    The candidates of a generation are normal draws around the mean of the best candidates of the generation before. All
-    candidates of a generation are run with the same seeds, which no other generation and no comparison uses. Trainings
-    at several latencies have the same draws and seeds.
+    The candidates of a generation are normal draws, at first around 0, then around the mean of the best candidates of
+    the generation before. All candidates of a generation are run with the same seeds, which no other generation and no
+    comparison uses. Trainings at several latencies have the same draws and seeds.
     """
     scales, generations = np.array(SCALES), list[Generation]()
     mean, deviation = np.zeros(len(SCALES)), scales
