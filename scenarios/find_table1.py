@@ -11,7 +11,7 @@ fitted: no parameter of the game, the protocol or the simulator.
 """
 
 import re
-from math import inf, log
+from math import ceil, inf, log
 
 import click
 import numpy as np
@@ -159,14 +159,14 @@ def main(draws: int, most: int, seed: int, teams: tuple[int, ...]) -> None:
             name=f"Table I, N = {count}",
             team=Team(count=count),
             evader=Evader(),
-            capture=Capture(test="sample"),
+            capture=Capture(test="sample"),  # at the ends of steps, as a time-stepped loop does
             record=Recording(trajectory=0.0),
         )
         central, published = (
             {d: PUBLISHED[kind, count, d] for d in DELTAS} for kind in ("centralised", "decentralised")
         )
         candidates = fitting(base, central, draws, seed)
-        drawn = -(-draws // BATCH) * BATCH
+        drawn = ceil(draws / BATCH) * BATCH
         click.echo(
             f"N = {count}: {len(candidates)} of {drawn} configurations fit the published centralised active times"
         )

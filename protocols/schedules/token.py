@@ -8,7 +8,7 @@ Messages: besides announcements, two each time the token is forwarded: the token
     known records of all pursuers, so it is long.
 Robust to loss: yes; see `protocols.schedules.token_passing`. Without faults every decision is based on the present
     actions of all that the token has visited, at any latency, as long as records do not time out (`belief_timeout`)
-    between two revisions of a pursuer. The initial actions of the others are known as `announce.start` says.
+    between two revisions of a pursuer. Whether the initial actions of the others are known depends on `announce.start`.
 """
 
 from collections.abc import Callable

@@ -32,7 +32,7 @@ def replays(options: Options) -> list[Cost]:
     for count, rate in FRAMES_PER_SECOND.items():
         is_largest = count == max(FRAMES_PER_SECOND)
         result = run(with_recordings(load(SCENARIOS / "relay.toml", [f"team.count={count}"])))
-        content, duration = made(result, options.runs)
+        content, duration = timed_page(result, options.runs)
         size = len(content.encode()) / 1e6
         costs += [
             Cost(f"page of {count} pursuers", size, "MB", SIZE if is_largest else None),
@@ -51,7 +51,7 @@ def replays(options: Options) -> list[Cost]:
     return costs
 
 
-def made(result: Result, rounds: int) -> tuple[str, float]:
+def timed_page(result: Result, rounds: int) -> tuple[str, float]:
     """Return the page of a run, and the CPU time, s, of the fastest of some rounds that make it."""
     times = []
     for _ in range(rounds):

@@ -84,19 +84,17 @@ class Contention:
         """Transmit the frames of a node, each after a back-off, except where the channel has been idle for DIFS."""
         queue, rng, window = self.queues[node], self.rng, self.access.window
         while True:
-            if queue.items:
-                number = yield queue.get()
-            else:
-                number = yield queue.get()
-                if self.on_air or not (yield from self.idle_for(0)):
-                    yield from self.back_off(int(rng.integers(window)))
+            has_waited = bool(queue.items)  # for the back-off after the frame before
+            number = yield queue.get()
+            if not has_waited and (self.on_air or not (yield from self.idle_for(0))):
+                yield from self.back_off(int(rng.integers(window)))
             frame = self.begin(node, number)
             yield self.env.timeout(self.airtime)
             self.end(frame)
             yield from self.back_off(int(rng.integers(window)))
 
     def back_off(self, slots: int) -> Steps:
-        """Wait until the channel has been idle for DIFS and some slots, not counting those that have passed before."""
+        """Wait for some slots in which the channel is idle, after DIFS; a frame only interrupts the count of slots."""
         while True:
             if self.on_air:
                 yield self.idle
@@ -132,8 +130,8 @@ class Contention:
             self.idle.succeed()
         deaf = {other.src for other in frame.overlapping} | {frame.src}
         for node in range(self.size):
-            power = self.power[frame.src][node] - self.threshold
-            if node not in deaf and all(self.power[other.src][node] <= power for other in frame.overlapping):
+            limit = self.power[frame.src][node] - self.threshold
+            if node not in deaf and all(self.power[other.src][node] <= limit for other in frame.overlapping):
                 self.env.process(self.message(frame, node))
 
     def message(self, frame: Transmission, node: int) -> Steps:
