@@ -1,12 +1,13 @@
 """The consensus-based auction algorithm: a pursuer chases an evader if it knows of no higher bid than its own.
 
 Paper: Choi, Brunet & How 2009, "Consensus-Based Decentralized Auctions for Robust Task Allocation", Algorithms 1 and 2;
-    the evaders are the tasks. Each pursuer keeps the winning-bid list y and the winner list z. Differences: bids follow
-    the capture times phi, so a pursuer selects an evader and bids anew at each turn; a pursuer's claim about its own
-    bid overrides what others claim about that bid; where positions are sensed, all bids are updated at each turn.
+    the evaders are the tasks. Each pursuer keeps the winning-bid list y and the winner list z. There are three
+    differences. Bids follow the capture times phi, so a pursuer selects an evader and bids anew at each turn. A
+    pursuer's claim about its own bid overrides the claims of others about that bid. Where positions are sensed, all
+    bids are updated at each turn.
 Parameters: schedule. The schedule `Rounds` gives the rounds of the paper; the default, one pursuer per slot, does not.
-Assumes: a connected graph and constant bids. Then all agree on the winner of one evader after 1 + D rounds, where D is
-    the diameter in hops, and on the winners of M evaders after at most M (1 + D) rounds. The assignment is the greedy
+Assumes: a connected graph and constant bids. Let D be its diameter in hops. Then all agree on the winner of one evader
+    after 1 + D rounds, and on the winners of M evaders after at most M (1 + D) rounds. The assignment is the greedy
     one, in order of phi. If bids change, the highest of several reports of a chaser's bid is the newest, because the
     phi of a pursuer falls and its bid rises while it chases. When a pursuer leaves an evader for another, its claim
     informs its neighbours. Pursuers farther away infer the change, because a bidder has one evader at most

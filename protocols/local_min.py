@@ -6,11 +6,11 @@ Paper: LocalMin: the greedy maximal independent set of the communication graph, 
     capture time; computed in local rounds as in Métivier, Robson, Saheb-Djahromi & Zemmari 2011. ArgminKnown: none, a
     heuristic.
 Parameters: schedule.
-Assumes: LocalMin, symmetric links: then every pursuer that could capture in time is active or has an active neighbour,
-    and no two neighbours chase the same evader. ArgminKnown, announcements that reach the whole team, over several hops
-    if need be (see `announce.dissemination`): then one pursuer of the team stays active for each evader, as long as a
-    free pursuer could capture it in time. If they do not reach the whole team, ArgminKnown may leave a pursuer and all
-    its neighbours inactive.
+Assumes: for LocalMin, symmetric links. Then every pursuer that could capture in time is active or has an active
+    neighbour, and no two neighbours chase the same evader. For ArgminKnown, announcements that reach the whole team,
+    over several hops if need be (`announce.dissemination`). Then one pursuer of the team stays active for each evader,
+    as long as a free pursuer could capture it in time. If announcements do not reach the whole team, ArgminKnown may
+    leave a pursuer and all its neighbours inactive.
 Messages: announcements, see `announce` in the scenario.
 Robust to loss: yes, with heartbeats. Both rules settle under any schedule.
 """

@@ -77,7 +77,7 @@ class Weakness:
 
 @dataclass(frozen=True)
 class Broken:
-    """What breaks a protocol."""
+    """The result of the searches for one protocol."""
 
     name: str
     """The protocol, with the kind of trust or the mend."""

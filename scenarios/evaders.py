@@ -3,8 +3,8 @@
 The first part uses the scenario of Lee & Bakolas, in which one pursuer is twice as fast as the others. Each strategy of
 the evader plays against Spatial Adaptive Play on an ideal network, and against several protocols with a latency
 (`--latency`). Each pursuer decides ten times a second on average. All strategies run with the same seeds, so each is
-compared run by run with pure evasion, the strategy of the paper: the evader flees from the nearest pursuer, whether or
-not that pursuer is active.
+compared run by run with pure evasion. This is the strategy of the paper, in which the evader flees from the nearest
+pursuer, active or not.
 
 In the second part the evader moves in a random direction that changes gradually (`diffusion`). Most of the pursuers are
 too slow to capture it: they watch and report their sightings. Two fast ones chase, and use the reports where they do

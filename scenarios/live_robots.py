@@ -1,4 +1,4 @@
-"""The protocol of `desim` on robots of one's own: a server moves three toy robots, and three nodes negotiate.
+"""The protocol of `desim` on your own robots: a server moves three toy robots, and three nodes negotiate.
 
     python -m scenarios.live_robots
 

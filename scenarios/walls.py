@@ -1,10 +1,10 @@
 """What walls cost each protocol, through radio, sight and motion separately: four rooms with doors.
 
 Six pursuers look for an evader in four rooms (`scenarios/rooms.toml`). The walls block nothing, one of radio, sight and
-motion, or all three. If they block radio, pursuers hear each other only within a room and through doors; if they block
-sight, pursuers see the evader only within a room and through doors; if they block motion, all players walk around them.
-Each cost is the difference from walls that block nothing, with the same seeds. All protocols, also `local_min`, have
-their default parameters. The players start at the same places in all cases, outside of the walls.
+motion, or all three. Where they block radio, pursuers hear each other only within a room and through doors. Where they
+block sight, pursuers see the evader only within a room and through doors. Where they block motion, all players walk
+around them. Each cost is the difference from walls that block nothing, with the same seeds. All protocols, also
+`local_min`, have their default parameters. The players start at the same places in all cases, outside of the walls.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,7 +31,7 @@ BLOCKED: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "all": ("radio", "sight", "motion"),
     }
 )
-"""What the walls block, by name."""
+"""The things that the walls block, by name."""
 METRICS = MappingProxyType({"active time": active_time, "end time": end_time})
 
 

@@ -1,4 +1,4 @@
-"""What agents of an environment say and hear: the spaces of their messages, and the network that carries them.
+"""The messages of the agents of an environment: their spaces, and the network that carries them.
 
 An action gains the key `message`, which the agent broadcasts as it acts. An observation gains two keys, with a row for
 each of `possible_agents`, or for each agent that appears, in their order:

@@ -1,4 +1,4 @@
-"""What the environments have in common: the game of a scenario, its spaces, and the episode that is played."""
+"""The common part of the environments: the game of a scenario, its spaces, and the episode that is played."""
 
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
@@ -47,7 +47,7 @@ class StepStart(NamedTuple):
 
 
 class Pursuit:
-    """What both environments have in common; the arguments are those of `desim.env`.
+    """The common part of both environments; the arguments are those of `desim.env`.
 
     Attributes:
         scenario: the experiment.

@@ -14,7 +14,7 @@ from desim.kernel.core.clock import Clock, Phase
 from desim.pursuit.team.agent import Agent, Behaviour, Process
 
 PROCESS = "a protocol, or another process of a pursuer,"
-"""What a behaviour is, in error messages."""
+"""The name of a behaviour in error messages."""
 
 
 class RestartableProcess(simpy.Process):

@@ -31,7 +31,7 @@ OUT_OF_MEMORY = (
     "out of memory: shorten the horizon, simulate fewer nodes, or record less (record.trajectory,"
     ' record.messages = "file")'
 )
-"""What a user can do about a `MemoryError`, which has no text of its own."""
+"""The advice for a `MemoryError`, which has no text of its own."""
 HAS_THREADS = sys.platform not in {"emscripten", "wasi"}
 """Whether this Python can start threads; that of a browser (Pyodide) cannot, and has no timers of signals either."""
 RAISE_INTERVAL = 0.1

@@ -6,9 +6,9 @@ Parameters: holding_time (time at each pursuer), attempts (transmissions of the 
 Assumes: a connected graph; otherwise each component has a token of its own.
 Messages: besides announcements, two each time the token is forwarded: the token and its receipt. The token carries the
     known records of all pursuers, so it is long.
-Robust to loss: yes; see `protocols.schedules.token_passing`. Without faults every decision is based on the present
-    actions of all that the token has visited, at any latency, as long as records do not time out (`belief_timeout`)
-    between two revisions of a pursuer. Whether the initial actions of the others are known depends on `announce.start`.
+Robust to loss: yes; see `protocols.schedules.token_passing`. Without faults, at any latency, every decision is based on
+    the present actions of all pursuers that the token has visited. Records must not time out (`belief_timeout`) between
+    two revisions of a pursuer. Whether the initial actions of the others are known depends on `announce.start`.
 """
 
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""What a live run costs: the processor time of a decision, beside that of a simulation and of the sockets alone."""
+"""The cost of a live run: the processor time of a decision, beside that of a simulation and of the sockets alone."""
 
 import time
 from collections.abc import Iterator

@@ -1,8 +1,8 @@
 """Costs of the page of a replay: its size, the time that it takes to make, and that of a frame in Chromium.
 
-A page is played in Chromium without a window and without a graphics processor, if Chromium is installed. A frame counts
-the CPU time of all processes of the browser, which does not depend on what else the machine does: with 33 ms, a
-processor that has nothing else to do shows 30 frames a second.
+A page is played in Chromium without a window and without a graphics processor, if Chromium is installed. The cost of a
+frame is the CPU time of all processes of the browser, which does not depend on the load of the machine. At 33 ms, an
+otherwise idle processor shows 30 frames a second.
 """
 
 import os

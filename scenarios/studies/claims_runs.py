@@ -52,7 +52,7 @@ UNIT = delay_runs.LAMBDA / delay_runs.N
 def number(measure: Callable[Concatenate[Options, Parameters], Measured]) -> Callable[Parameters, Number]:
     """Return a function of the arguments that follow the options; it returns a function of the options.
 
-    So `share(captured, scenario)` is a number of the table of claims, which is measured once the options are known.
+    For example, `share(captured, scenario)` is a number in the table of claims, to be measured with some options.
     """
 
     @wraps(measure)

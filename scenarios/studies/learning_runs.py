@@ -49,7 +49,7 @@ WORDS: Mapping[str, tuple[str, str]] = MappingProxyType(
         "evader.chosen": ("keeps chasing", "gives up chasing"),
     }
 )
-"""What a positive, and a negative, weight means."""
+"""By feature, the meaning of a positive and of a negative weight."""
 SCALES = (1.0, 1.0, 1.0, 1.0, 0.2, 1.0)
 """The typical size of a useful weight, so that a feature in pursuers counts as much as one in [0, 1]."""
 CANDIDATES, ELITE, SEEDS = 24, 4, 4

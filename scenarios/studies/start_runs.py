@@ -62,7 +62,7 @@ class Share:
 
 @dataclass(frozen=True)
 class Extra:
-    """What announcing the first actions adds to the excess of a game at rest with a known start, in N^2 delta."""
+    """The excess that announcing the first actions adds to that of a game at rest with a known start, in N^2 delta."""
 
     schedule: str
     delay: float

@@ -23,7 +23,7 @@ REST = 0.2
 
 
 class Traffic(NamedTuple):
-    """What is sent in one run; the numbers are means over the pursuers."""
+    """The traffic of one run; the numbers are means over the pursuers."""
 
     pursuers: int
     duration: float
