@@ -140,6 +140,14 @@ def test_any_graph_comes_back_from_every_format(tmp_path, kind, graph):
     assert Edges.model_validate(edges.plain()) == edges
 
 
+@pytest.mark.parametrize("kind", ["node_link.json", "links.json"])
+def test_nodes_that_are_tuples_come_back_from_json_which_has_lists(tmp_path, kind):
+    graph = nx.grid_2d_graph(2, 2)
+    edges = read(written(graph, tmp_path, kind))
+    assert edges.names == tuple(map(str, graph))
+    assert undirected(links(edges)) == undirected(expected(graph, kind))
+
+
 @pytest.mark.slow
 @settings(max_examples=30)
 @given(graph=graphs())

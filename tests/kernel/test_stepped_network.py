@@ -1,6 +1,7 @@
 """The network in the loop of another simulator: it is the network of desim, whatever the steps."""
 
 import copy
+import gc
 import pickle
 import subprocess
 import sys
@@ -42,7 +43,7 @@ from desim import (
     run,
 )
 from desim.config.model import MAX_TIME
-from desim.kernel.core.clock import Clock, Instant, Phase
+from desim.kernel.core.clock import GC_THRESHOLDS, Clock, Instant, Phase
 from desim.kernel.core.events import Broadcast, Delivered, Lost, MessageCounts, Sent, Trace
 from desim.kernel.core.seeds import run_seed
 from desim.kernel.core.units import SECOND
@@ -803,6 +804,23 @@ def test_a_step_takes_a_finite_time(dt):
         network.step(dt)
     assert network.now == 0.0
     assert network.step(0.1) == []
+
+
+@pytest.mark.parametrize(("count", "end"), [(10, "8, 9"), (11, r"8, 9, \.\.\.")])
+def test_up_to_ten_nodes_are_named_where_there_is_no_such_node(count, end):
+    with pytest.raises(ValueError, match=f"there is no node 11: the nodes are 0, 1, 2, 3, 4, 5, 6, 7, {end}$"):
+        SteppedNetwork(count).neighbours(11)
+
+
+def test_the_garbage_collector_looks_rarely_while_a_network_is_open_and_in_each_step():
+    usual, seen = gc.get_threshold(), []
+    trace = Trace([lambda _: seen.append(gc.get_threshold())])
+    SteppedNetwork(2, trace=trace, faults=[Crash(node=0, start=0.05)]).step(0.1)
+    assert seen == [GC_THRESHOLDS]
+    assert gc.get_threshold() == usual != GC_THRESHOLDS
+    with SteppedNetwork(2):
+        assert gc.get_threshold() == GC_THRESHOLDS
+    assert gc.get_threshold() == usual
 
 
 def test_what_a_network_cannot_do_is_said():

@@ -418,6 +418,23 @@ def test_a_file_bears_its_name_only_when_it_is_complete(tmp_path):
     assert path.read_text() == ""
 
 
+def test_a_file_whose_last_lines_cannot_be_written_does_not_bear_its_name(tmp_path):
+    """A disk that is full is seen only when the lines leave the buffer."""
+    resource = pytest.importorskip("resource")
+    path, before = tmp_path / "trace.jsonl", resource.getrlimit(resource.RLIMIT_FSIZE)
+    path.write_text("of an earlier run")
+    file = TraceFile(path).__enter__()
+    for event in beating(2):
+        file(event)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10, before[1]))
+    try:
+        with pytest.raises(OSError, match="File too large"):
+            file.__exit__(None)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert path.read_text() == "of an earlier run"
+
+
 @pytest.mark.slow
 def test_a_file_keeps_nothing_in_memory(tmp_path):
     """Eight times as many messages take no more of it, where a trace takes eight times as much."""

@@ -351,6 +351,7 @@ SHAPES = {
     '<path transform="matrix(1 0 0 -1 0 7) , scale(2,3)" d="M1 2H3"/>': ([[2, -1], [6, -1]], False),
     '<g transform=" "><path d="M1 2H3"/></g>': ([[1, -2], [3, -2]], False),
     '<!-- <?xml-stylesheet?> --><path style="rotate: none" d="M1 2H3"/>': ([[1, -2], [3, -2]], False),
+    '<path transform="matrix(1 2 3 4 5 6) matrix(7 8 9 10 11 12)" d="M1 2H3"/>': ([[161, -238], [223, -330]], False),
     '<path transform="skewX(45)" d="M1 2H3"/>': ([[3, -2], [5, -2]], False),
     '<path transform="skewY(-45)" d="M1 2H3"/>': ([[1, -1], [3, 1]], False),
     "<style>/* x */ @import 'a;b'; @font-face {src: c} .a {stroke: red} path {fill: none; stroke: none}</style>"

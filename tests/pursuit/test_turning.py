@@ -89,6 +89,13 @@ def test_along_the_final_heading_the_length_grows_by_the_distance(target):
     assert grown == pytest.approx([2e-6, 2e-6], rel=1e-6)
 
 
+def test_a_target_behind_by_rounding_alone_is_not_reached_by_a_full_turn():
+    """At 1e-10 of the radius, a full turn would be less than 1e-9 rad longer than the angle; at 1e-8 it is due."""
+    length, heading = shortest_path(-2e-10 + 0j, 2.0)
+    assert (length, heading) == (pytest.approx(2e-10), pytest.approx(1.0))
+    assert shortest_path(-2e-8 + 0j, 2.0)[0] == pytest.approx(4.0 * pi)
+
+
 def test_the_length_of_a_path_to_a_target_aside_has_a_closed_form():
     """To (0, y) at the left, D = y - rho: a turn of pi - acos(rho / D) with theta = pi, then sqrt(D^2 - rho^2)."""
     for y in (2.5, 5.0, 40.0):
