@@ -133,6 +133,18 @@ def test_a_lower_bound_may_be_the_upper_one_and_no_more(model):
         made(model, {"low": 2.5, "high": 2.0})
 
 
+OTHER_TYPES = {bool: ("true",), int: (1.0, "1", True), float: ("1", True)}
+"""Values that pydantic takes by default for a field of another type, by the type of the field."""
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda model: model.__name__)
+def test_a_number_or_a_flag_of_another_type_is_refused(model):
+    for name, value in made(model):
+        for other in OTHER_TYPES.get(type(value), ()):
+            with pytest.raises(KeyedError, match=name):
+                made(model, {name: other})
+
+
 def test_a_value_is_frozen():
     circle = Circle()
     with pytest.raises(ValueError, match="immutable"):

@@ -477,12 +477,20 @@ def test_lora_frames_of_two_spreading_factors_need_the_isolation_between_them(is
         assert lora({"sf": own}, {"sf": other}, (1e4, 1.0), times), "orthogonal"
 
 
+SUMS = {
+    "goursaud": ([-86, -104, -121, -138, -155, -174], [-144, -136, -131, -127, -122, -118]),
+    "croce": ([-43, -59, -69, -88, -104, -121], [-91, -85, -82, -77, -75, -74]),
+}
+"""The sums of the rows and of the columns of each matrix: no number changes alone."""
+
+
 def test_the_isolation_matrices_are_the_published_ones():
     """SF 7 among SF 8 and SF 12, and SF 12 among SF 7 and SF 11: Goursaud & Gorce 2015 and Croce et al. 2018."""
     for name, numbers in (("goursaud", (-16, -20, -36, -36)), ("croce", (-8, -9, -25, -23))):
         rows = ISOLATION[name]
         assert (rows[0][1], rows[0][5], rows[5][0], rows[5][4]) == numbers
         assert {len(row) for row in (*rows, rows)} == {6}
+        assert ([sum(row) for row in rows], [sum(column) for column in zip(*rows, strict=True)]) == SUMS[name]
         for k, column in enumerate(zip(*rows, strict=True)):
             others = [*column[:k], *column[k + 1 :]]
             assert others == sorted(others, reverse=True), "a slower frame stands more of the same interference"

@@ -82,6 +82,12 @@ def test_numbers_are_those_of_the_agent():
     assert (seen["pursuer_0.age"], seen["pursuer_0.heard"], seen["pursuer_0.action"]) == (0.0, 1.0, 0.0)
 
 
+def test_a_teammate_that_is_sensed_is_where_it_is_without_a_message():
+    env, rows = observed(apart(**{"announce.payload": "action"}), 0, steps=1)
+    seen = dict(zip(env.observation_names, rows[-1, 0].tolist(), strict=True))
+    assert [seen[f"pursuer_2.{name}"] for name in ("heard", "located", "dx", "dy")] == [0.0, 1.0, 100.0, 0.0]
+
+
 @pytest.mark.parametrize("payload", ["action", "time", "state", "course"])
 @pytest.mark.parametrize("protocol", [LocalMin(), CBAA()])
 def test_each_payload_is_observed_within_the_bounds(payload, protocol):

@@ -165,6 +165,14 @@ def singular(rng, size):
     return np.outer(root, root)
 
 
+def test_an_exact_measurement_of_an_exact_position_counts_however_uncertain_the_velocity_is():
+    """Variances of 1e-16 m^2 are no rounding error of 1e4 (m/s)^2: the state moves half-way."""
+    before = (1e-16, 0.0, 0.0, 0.0, 1e-16, 0.0, 0.0, 1e4, 0.0, 1e4)
+    moved, after = corrected_by_position((0.0,) * 4, before, (1e-8, -3e-8), (1e-16, 0.0, 1e-16))
+    assert moved == pytest.approx((5e-9, -1.5e-8, 0.0, 0.0), rel=1e-12, abs=0.0)
+    assert (after[0], after[4]) == pytest.approx((5e-17, 5e-17), rel=1e-12, abs=0.0)
+
+
 def test_a_covariance_of_rank_one_stays_positive_after_a_measurement_of_rank_one():
     rng = np.random.default_rng(1)
     for _ in range(300):

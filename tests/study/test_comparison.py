@@ -138,6 +138,13 @@ def test_a_mean_over_other_runs_than_the_pairs_says_over_how_many():
     assert "(n)" not in heading, "independent runs: all that there are"
 
 
+@pytest.mark.parametrize(("old", "is_told"), [([1.0, None], True), ([None, None], False), ([1.0, 2.0], False)])
+def test_a_value_of_one_run_is_told_apart_from_those_of_none_and_of_all(old, is_told):
+    new = sweep_of([[1.5, 3.5]], metric="capture_time")
+    ((heading, _),) = compare(sweep_of([old], metric="capture_time"), new, ["capture_time"]).tables()
+    assert ("(n)" in heading) == is_told
+
+
 def test_a_few_equal_differences_are_not_distinguishable_from_0():
     """Three pairs that differ by 1 s each: 2^(1 - 3) = 1/4. Six pairs are enough; the control."""
     few, enough = (
