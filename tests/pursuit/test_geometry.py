@@ -48,5 +48,10 @@ def test_moving_away_is_caught_at_once_from_inside_and_never_from_outside():
     assert first_contact(np.array([0.2 + 0j]), np.array([1 + 0j]), 0.1, 1.0) is None
 
 
+@pytest.mark.parametrize("speed", [5e-324, 1e-300, 1e-150])
+def test_an_approach_at_next_to_no_speed_takes_longer_than_any_run(speed):
+    assert first_contact(np.array([1 + 0j]), np.array([-speed + 0j]), 0.1, 1e9) is None
+
+
 def test_ties_go_to_the_lowest_row():
     assert first_contact(np.array([1 + 0j, 1j]), np.array([-1 + 0j, -1j]), 0.1, 2.0) == (pytest.approx(0.9), 0)

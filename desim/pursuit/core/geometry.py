@@ -45,7 +45,7 @@ def first_contact(offsets: Points, velocities: Points, radius: float, duration: 
     discriminant = b**2 - a * c
     times = np.full(len(a), inf)
     # Motions that approach and pass within the radius: the smaller root, in the form without cancellation.
-    meets = (b < 0.0) & (discriminant >= 0.0)
+    meets = (b < -1e-200) & (discriminant >= 0.0)  # a slower approach has a time that overflows
     np.divide(c, np.sqrt(np.maximum(discriminant, 0.0)) - b, out=times, where=meets)
     times[c <= 0.0] = 0.0
     row = int(times.argmin())
