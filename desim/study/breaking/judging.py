@@ -100,7 +100,7 @@ def failure_of(outcome: Outcome, timeout: float | None) -> str:
     is_too_long = timeout is not None and isinstance(error, TimedOut)
     if isinstance(error, JudgementError) or not (isinstance(error, Exception) or is_too_long):
         raise error
-    kind = "TimedOut" if is_too_long else type(error).__name__  # `within` raises a class that it makes
+    kind = "TimedOut" if is_too_long else type(error).__name__  # a watchdog raises a subclass with another name
     return ": ".join([kind, *str(error).strip().splitlines()[:1]])
 
 

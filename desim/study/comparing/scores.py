@@ -173,6 +173,7 @@ class Benchmark(TabularResult):
         difference = self.totals[best].score.minus(self.totals[name].score).estimate
         rivals = len(self.totals) - (OMNISCIENT in self.totals)
         pairs = max(rivals * (rivals - 1), 1)  # ordered pairs: the better one of two is not known before
+        # One-sided: of the two-sided test, only the half of a positive difference counts.
         return difference.mean > 0.0 and difference.excludes_0(1.0 - 2.0 * RISK / pairs)
 
     def _score(self, name: str, scenario: str) -> Score:
@@ -200,9 +201,9 @@ class Benchmark(TabularResult):
     def _total_rows(self) -> Iterator[tuple[str, ...]]:
         yield "", "score", "quality", "loss", "behind"
         for name, total in self.totals.items():
-            parts = (total.score, total.quality, total.loss)
+            ratios = (total.score, total.quality, total.loss)
             behind = "" if name in (self.best, OMNISCIENT) else "yes" if self.is_behind(name) else "not shown"
-            yield self._table_name(name), *(_text(part.estimate) for part in parts), behind
+            yield self._table_name(name), *(_text(ratio.estimate) for ratio in ratios), behind
 
     def _scenario_rows(self) -> Iterator[tuple[str, ...]]:
         yield "", *self.kept
@@ -240,7 +241,7 @@ class Benchmark(TabularResult):
         reasons = dict[tuple[str, str], list[str]]()
         for absence in self.absent:
             reasons.setdefault((absence.protocol, absence.why), []).append(absence.scenario)
-        notes += [f"{name} takes no part in {', '.join(where)}: {why}" for (name, why), where in reasons.items()]
+        notes += [f"{name} takes no part in {', '.join(names)}: {why}" for (name, why), names in reasons.items()]
         return notes
 
     _between_notes = "\n"
@@ -281,8 +282,8 @@ class Benchmark(TabularResult):
         """Return the scores as JSON-compatible values."""
 
         def numbers(score: Score) -> dict[str, Any]:
-            parts = {"score": score.score, "quality": score.quality, "loss": score.loss}
-            return {name: as_json(part.estimate) for name, part in parts.items()}
+            ratios = {"score": score.score, "quality": score.quality, "loss": score.loss}
+            return {name: as_json(ratio.estimate) for name, ratio in ratios.items()}
 
         return {
             "version": self.version,

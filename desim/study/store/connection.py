@@ -59,7 +59,7 @@ def has_write_ahead_log(path: Path) -> bool:
 
 
 def is_unsettled(path: Path) -> bool:
-    """Return whether a file on a network file system has a journal with content, or was given a log elsewhere."""
+    """Return whether a file on a network file system has a journal with content, or a log from a local disk."""
     return has_journal(path) or has_write_ahead_log(path)
 
 

@@ -97,7 +97,7 @@ class Claims:
 
 def lots_of(plan: SweepPlan) -> list[list[Job]]:
     """Return the runs of a plan in lots, which depend on nothing but the plan."""
-    jobs = [job for part in (1, 2) for job in plan.shard(part, 2)]  # several shards ignore the order of the grid
+    jobs = [job for part in (1, 2) for job in plan.shard(part, 2)]  # unlike one shard, two ignore the grid's order
     size = max(1, min(LARGEST, len(jobs) // LOTS))
     return [jobs[begin : begin + size] for begin in range(0, len(jobs), size)]
 

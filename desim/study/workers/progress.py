@@ -23,7 +23,7 @@ def progress(total: int | None, label: str, unit: str) -> "tqdm[Any]":
 def advance(bar: "tqdm[Any]", steps: int) -> None:
     """Advance a bar by some steps; the time until the first of them, in which workers start, does not count.
 
-    Otherwise the estimate of the remaining time would include a start of all workers for each run.
+    Otherwise the estimate of the remaining time would assume that workers start anew for each run.
     """
     if not bar.n and not bar.disable:
         bar.initial, bar.start_t = steps, time()
