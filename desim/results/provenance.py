@@ -278,7 +278,7 @@ def _unrecorded(node: Any, place: tuple[str, ...] = ()) -> Iterator[str]:
     for name, value in members.items():
         yield from _unrecorded(value, (*place, name))
         field = getattr(type(node), "model_fields", {}).get(name)
-        is_chosen = field is not None and choices_of(field)  # the name of a model is enough to select it again
+        is_chosen = field is not None and choices_of(field)  # the name of a model selects it, so nothing is lost
         if not (isinstance(node, tuple | dict) or is_ours(type(node)) or is_chosen) and is_named_only(value):
             yield ".".join((*place, name))
 

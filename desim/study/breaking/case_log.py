@@ -85,7 +85,7 @@ class CaseLog:
 
 
 def _read(line: str) -> dict[str, Any] | None:
-    """Return the entry of a line; None if it was cut off."""
+    """Return the entry of a line; None if it was cut off, or if another version wrote it with other fields."""
     try:
         entry: dict[str, Any] = json.loads(line)
     except ValueError:

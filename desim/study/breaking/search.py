@@ -305,7 +305,7 @@ class _Cases:
 def _smallest(
     scenario: Scenario, prop: Property, violating: Tried, searched: int, budget: int, judge_run: CaseJudge
 ) -> Violation:
-    """Return the smallest violation that is broken as a violating case is."""
+    """Return the violation with the smallest case that is broken alike; see `shrunk`."""
     best, runs = shrunk(scenario, violating, judge_run, budget)
     changed = applied(scenario, best.case)
     return Violation(changed, best.seed, prop, best.verdict, best.case, violating.case, searched, runs, best.failure)

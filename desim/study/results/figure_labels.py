@@ -96,7 +96,7 @@ def key_with_unit(key: str) -> str:
 
 def literal(name: str) -> str:
     """Return a text escaped for matplotlib, which reads "$" as mathematics and hides labels that begin with "_"."""
-    return escaped(name).replace("$", r"\$").replace("_", " _", name.startswith("_"))
+    return f"{' ' if name.startswith('_') else ''}{escaped(name)}".replace("$", r"\$")
 
 
 def label_axes(axes: Axes, xlabel: str | None, ylabel: str | None) -> None:

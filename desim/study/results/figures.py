@@ -175,7 +175,8 @@ def _points(result: SweepRuns, metric: str, against: Mapping[str, Any] | None) -
 def _abscissa(result: SweepRuns, x: str | None, by: Sequence[str]) -> str | None:
     """Return the key on the abscissa; None if each configuration has a row.
 
-    It is `x`, else the first key not in `by` with several numbers, else, if there is a `by`, with several values.
+    Without `x`, it is the first key not in `by` with several numbers. If no key has several numbers and `by` names
+    keys, it is the first key not in `by` with several values.
 
     Raises:
         ValueError: if the grid has no key `x`, or it is also in `by`.

@@ -1,10 +1,10 @@
 """A lock among processes of several hosts that share a folder: a file that names its holder, which rewrites it often.
 
 A lock file works where locks of the operating system do not, because creating a link is atomic on every network file
-system. It is stale if by its time its holder has not rewritten it for `STALE` seconds, and does not rewrite it while it
-is watched for `WATCH` seconds: some file systems (Lustre, GPFS, Ceph, AFS) record the time of the host that writes, and
-the clocks of two hosts may differ. A holder whose process is gone has ended, but this can be told only on its own host,
-in its own namespace of processes.
+system. It is stale if its time is more than `STALE` seconds old, and its holder does not rewrite it while it is watched
+for `WATCH` seconds: some file systems (Lustre, GPFS, Ceph, AFS) record the time of the host that writes, and the clocks
+of two hosts may differ. A holder whose process is gone has ended, but this can be told only on its own host, in its own
+namespace of processes.
 """
 
 import json

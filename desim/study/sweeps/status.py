@@ -53,8 +53,8 @@ class SweepStatus:
     def __str__(self) -> str:
         of_planned = "" if self.planned is None else f" of {self.planned:,}"
         failed = f", {counted(self.failed, 'run')} failed" if self.failed else ""
-        count = len([part for part in self.parts if part.state.startswith("RUNNING")])
-        running = f", {counted(count, 'part')} running" if count else ""
+        running_parts = len([part for part in self.parts if part.state.startswith("RUNNING")])
+        running = f", {counted(running_parts, 'part')} running" if running_parts else ""
         runs = "run is" if self.done == 1 and not of_planned else "runs are"
         head = f"{self.name}: {self.done:,}{of_planned} {runs} done{failed}{running}"
         rows = [
@@ -110,9 +110,9 @@ def status(folder: str | Path) -> SweepStatus:
     if includes is not None:  # a store may have runs of other grids
         done, failed = frozenset(filter(includes, done)), frozenset(filter(includes, failed))
     # A plan of fewer runs than are done is that of another sweep.
-    is_known = plan is not None and includes is not None and not plan.is_most and len(done) <= plan.count
+    has_count = plan is not None and includes is not None and not plan.is_most and len(done) <= plan.count
     name = job.name if job is not None else next((count.name for count in counts.values() if count.name), "")
-    return SweepStatus(name, plan.count if plan and is_known else None, len(done), len(failed), tuple(parts))
+    return SweepStatus(name, plan.count if plan and has_count else None, len(done), len(failed), tuple(parts))
 
 
 @dataclass(frozen=True)
