@@ -122,7 +122,8 @@ class Entrants:
 
     def runs(self, count: int) -> int:
         """Return the number of runs, at most, with `count` runs of each protocol in each scenario."""
-        entrants = len(self.protocols) + (len(self.suite.protocols) + 1) * self.again
+        built_in = len(self.suite.protocols) + 1  # the reference also runs without messages
+        entrants = len(self.protocols) + built_in * self.again
         return max(2 * count * entrants * len(self.suite.scenarios), 1)  # each on its network and on a perfect one
 
     def variants(self, name: str) -> tuple[list[Configuration], list[NoPart]]:

@@ -22,7 +22,7 @@ from desim.scenario.scenario import Scenario
 from desim.scenario.toml import load
 
 BASE, PROTOCOLS, COSTS = "base", "protocols", "costs.json"
-"""The names of the file that all scenarios extend, of that of the protocols, and of that of the costs."""
+"""The names of the file that all scenarios extend, of the file of protocols, and of the file of costs."""
 REFERENCE = "local_min"
 """The protocol that sets both bounds of every scenario, for all protocols.
 

@@ -174,7 +174,7 @@ def _cell_format(values: Sequence[float]) -> str:
     """Return the common format of the cells of a heat map.
 
     The largest value has three significant digits, or all its integer digits, and the smallest value that is not 0 has
-    one at least; beyond three decimals, all values are in scientific notation.
+    one at least. If this takes more than three decimals, all values are in scientific notation.
     """
     sizes = [abs(value) for value in values if value]
     if not sizes:
