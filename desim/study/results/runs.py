@@ -233,9 +233,9 @@ class SweepRuns:
 
     @property
     def compared_by(self) -> str | None:
-        """The first key in which alone two configurations differ; without such a key, None for a design.
+        """The first key that is the only difference between two configurations.
 
-        For a grid without such a key, it is the first key that has several values.
+        Without such a key, it is None for a design, and for a grid the first key that has several values.
         """
         alone = list(range(len(self.groups)))  # each configuration is the first with its other settings
         paired_key = next((key for key in self.keys if self.first_along(key) != alone), None)
