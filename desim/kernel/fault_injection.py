@@ -134,8 +134,8 @@ class _Site:
     def crash(self, crash: Crash) -> Undo:
         _require(isinstance(crash, Crash), "crash(crash)", "a Crash, such as Crash(start=1.0, node=0)", crash)
         _require_nodes([crash.node], self.size, "crash: ")
-        # A fault that is recorded as a crash is in the trace already. A crash by any other fault is recorded here, for
-        # metrics, replays and invariants read from the trace which nodes are down, and which forget.
+        # A fault that is recorded as a crash is in the trace already. A crash by any other fault is recorded here:
+        # metrics, replays and invariants read from the trace which nodes are down, and which lose their memory.
         record = None if isinstance(self._record, Crash) else cast("Crash", as_built_in(crash, Crash))
         if record is not None:
             self.record(FaultStarted, record)

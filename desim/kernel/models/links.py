@@ -106,8 +106,8 @@ class Links(Value):
     loss: Annotated[Loss, LOSSES] = Bernoulli()
     """Loss model."""
     duplicate: Annotated[Loss, LOSSES] = Bernoulli()
-    """Which messages are transmitted twice, by the kinds of `loss`: instead of being lost, a message gets a copy, which
-    counts as a message of its own."""
+    """Which messages are transmitted twice. The kinds are those of `loss`: a message that such a model would lose gets
+    a copy instead, which counts as a message of its own."""
     medium: Annotated[Medium, MEDIA] = Unlimited()
     """Model of the airtime of messages and of access to the channel."""
     transport: Annotated[Transport, TRANSPORTS] = BestEffort()
@@ -176,8 +176,8 @@ class Links(Value):
             *traits.varies,
             *(InterferenceTraits.of(self.medium.reception).varies if contends(self.medium) else ()),
         }
-        if lacks := [lack for variation in sorted(varies) if (lack := self.coherence.lacks(variation))]:
-            raise KeyedError(Problem(" and ".join(lacks), "coherence"))
+        if problems := [text for variation in sorted(varies) if (text := self.coherence.lacks(variation))]:
+            raise KeyedError(Problem(" and ".join(problems), "coherence"))
         return self
 
     @property

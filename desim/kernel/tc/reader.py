@@ -12,7 +12,7 @@ from desim.kernel.models.netem import MAX_JITTER
 from desim.kernel.models.netem_tables import TABLES
 from desim.kernel.models.own_links import Way
 from desim.kernel.tc.syntax import FORM, HEADERS, LINK, Command, Device, TcError, commands, order_of
-from desim.kernel.tc.units import shortest, steps_of, to_bad
+from desim.kernel.tc.units import p_of, shortest, steps_of
 
 NONE = {"latency": {"kind": "constant", "value": 0.0}, "loss": {"kind": "bernoulli", "p": 0.0}, "order": "overtaking"}
 """The models of a link without imperfections."""
@@ -190,7 +190,7 @@ def _bursts(p: float, r: float) -> TomlTable:
     # The shortest numbers of which the same command is made, so that it is the same when it is printed again.
     burst = shortest(1.0 / r, lambda burst: steps_of(1.0 / burst) == steps_of(r))
     odds = p * burst
-    share = shortest(odds / (1.0 + odds), lambda share: share < 1.0 and steps_of(to_bad(share, burst)) == steps_of(p))
+    share = shortest(odds / (1.0 + odds), lambda share: share < 1.0 and steps_of(p_of(share, burst)) == steps_of(p))
     # The maximum allows for rounding: these are the shortest bursts of the model.
     return {"kind": "gilbert_elliott", "share": share, "burst": max(burst, share / (1.0 - share), 1.0)}
 

@@ -41,7 +41,7 @@ def duration_of(word: str) -> float:
 
 
 def share_word(share: float) -> str:
-    """Return a share in [0, 1] in percent: the shortest text of which Linux makes the same number of steps."""
+    """Return a share in [0, 1] in percent: the shortest text that Linux converts to the same number of steps."""
     steps = steps_of(share)
     percent = shortest(100.0 * share, lambda percent: steps_of(percent / 100.0) == steps) if steps else 0.0
     return f"{_plain(Decimal(repr(percent)))}%"
@@ -52,7 +52,7 @@ def steps_of(share: float) -> int:
     return round(share * (2**32 - 1))
 
 
-def to_bad(share: float, burst: float) -> float:
+def p_of(share: float, burst: float) -> float:
     """Return the probability of Gilbert & Elliott that a good link becomes bad, from the share and length of bursts."""
     return share / (1.0 - share) / burst
 

@@ -16,7 +16,7 @@ from desim.kernel.models.netem_tables import TABLES, fit
 from desim.kernel.models.own_links import link_overrides
 from desim.kernel.models.traits import LinkTraits
 from desim.kernel.tc.syntax import HEADERS, LINK, MAX_LIMIT, order_of
-from desim.kernel.tc.units import rate_word, share_word, time_word, to_bad
+from desim.kernel.tc.units import p_of, rate_word, share_word, time_word
 from desim.kernel.walls.wall import Wall
 
 DEVICE = re.compile(r"[\w.:@][\w.:@-]{0,14}", re.ASCII)
@@ -173,7 +173,7 @@ def _random(model: Any) -> Words | None:
 def _loss(loss: Any) -> Words | None:
     """Return the values of the option `loss`; None if netem has no such model."""
     if is_as_built(loss, GilbertElliott) and loss.advance == "message":
-        shares = [to_bad(loss.share, loss.burst), 1.0 / loss.burst, loss.loss_bad, loss.loss_good]
+        shares = [p_of(loss.share, loss.burst), 1.0 / loss.burst, loss.loss_bad, loss.loss_good]
         are_defaults = loss.loss_bad == 1.0 and loss.loss_good == 0.0  # the model of Gilbert
         return ["gemodel", *map(share_word, shares[:2] if are_defaults else shares)]
     if is_as_built(loss, FourState):
