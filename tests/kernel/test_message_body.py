@@ -338,6 +338,17 @@ def test_a_body_that_its_class_does_not_copy_is_refused(rule, told, around):
         as_sent(body)
 
 
+@pytest.mark.parametrize(
+    ("kind", "sent", "other"), [(int, 5, 0), (float, 0.5, 0.0), (str, "a", "b"), (bytearray, b"a", b"b")]
+)
+def test_a_number_or_text_that_is_copied_as_another_one_is_refused(kind, sent, other):
+    own = type("Own", (kind,), {})
+    assert as_sent(own(sent)) == kind(sent)
+    own.__deepcopy__ = lambda _, __: own(other)
+    with pytest.raises(ValueError, match=r"cannot be sent: its copy has .* where it has"):
+        as_sent(own(sent))
+
+
 @pytest.mark.parametrize("value", [np.arange(3), pd.Series([1, 2]), Links()], ids=lambda value: type(value).__name__)
 def test_a_wrapper_whose_copy_would_be_what_it_wraps_is_refused(value):
     with pytest.raises(ValueError, match=f"another class, {type(value).__name__}: its __getattr__ should pass on no"):

@@ -112,8 +112,6 @@ def _check_copy(value: Any, copied: Any, depth: int = 0) -> None:
                     raise ValueError(f"its copies would share a {type(part).__name__}")
         return
     parts, copies = content(value), content(copied)
-    if type(copies) in JSON_ATOMS:
-        return
     if isinstance(copies, Fields):
         for name, copied_part in copies.items():  # a copy may lack attributes that are computed from others
             if name in parts and (name[0] != "_" or copied_part is not None):
