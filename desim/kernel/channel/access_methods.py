@@ -240,6 +240,7 @@ class _Tdma(AccessMethod):
 
     def prepare(self, node: int, now: int, *, arrived: bool) -> None:
         clock = self._clocks[node]
+        # The slot of this round may be used or over, and rounding may shift the number of this round by one.
         round_before = floor(clock.at(now) / self._slot) // self._slots_per_round - 1  # negative if the local time is
         rounds, earliest = range(round_before, round_before + 4), max(now, int(self._used[node]) + 1)
         for k in (turn * self._slots_per_round + slot for turn in rounds for slot in self._slots[node]):
