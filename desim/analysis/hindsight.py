@@ -42,6 +42,7 @@ from desim.pursuit.game.game import optimal_assignment
 from desim.simulation.run import Result, run
 
 NO_PURSUER = -1
+"""In place of the optimal pursuer of an evader, if none can gain by chasing it."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -57,8 +57,8 @@ def batch_table(scenario: Scenario, runs: Sequence[Summary], wall_time: float) -
     low, high = wilson(captured, len(runs))
     rows: list[Sequence[str]] = [("", "mean", "+-", "least", "most", "runs"), *_rows_of_batch(scenario, runs)]
     seeds = f"seed {runs[0].seed}" if len(runs) == 1 else f"seeds {runs[0].seed} to {runs[-1].seed}"
-    several, needed = len(scenario.evaders), scenario.capture.captures_to_end
-    evaders = "" if several == 1 else "all " if needed in (None, several) else f"{needed} of {several} "
+    total, needed = len(scenario.evaders), scenario.capture.captures_to_end
+    evaders = "" if total == 1 else "all " if needed in (None, total) else f"{needed} of {total} "
     rate = portable_sum(run.messages_sent for run in runs) / wall_time
     counts = [int(row[-1]) for row in rows if ALL_EQUAL in row]
     bound = wilson(0, min(counts))[1] if counts else 0.0

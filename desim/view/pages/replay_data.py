@@ -48,7 +48,7 @@ def replay_data(
     shortest = COARSE_TICK if messages(result).sent > MANY_MESSAGES else 1
     ticks = Ticks.fit(end.t, ended(ghost).t if ghost else 0, shortest)
     has_messages = not lacks_messages(result)
-    sent = _messages(result, ticks) if has_messages else None
+    message_columns = _messages(result, ticks) if has_messages else None
     on_part()
     beliefs = _beliefs(knowledge(result), result, ticks) if has_messages else None
     on_part()
@@ -74,7 +74,7 @@ def replay_data(
         "decisions": _decisions(result, ticks),
         "relays": _relays(result, ticks),
         "faults": _faults(result, ticks),
-        "messages": sent,
+        "messages": message_columns,
         "beliefs": beliefs,
         "distrust": _distrust(result, ticks),
         "ghost": _ghost(ghost, Ticks(ticks.length, ended(ghost).t)) if ghost else None,
@@ -83,17 +83,17 @@ def replay_data(
 
 def _decisions(result: Result, ticks: Ticks) -> ReplayData:
     """Return as columns the decisions, the breakdowns, and the releases of pursuers by the capture of their evader."""
-    events = list(_acts(result))
+    events = list(_events_with_action(result))
     causes = {Decided: DECIDED, BrokeDown: BROKE_DOWN, Released: RELEASED}
     return {
         "t": ticks([event.t for event in events]),
         "who": packed_column([event.pursuer for event in events], "<u2"),
-        "active": packed_column([action(event) for event in events], _kind(result)),
+        "active": packed_column([action(event) for event in events], _action_dtype(result)),
         "cause": packed_column([causes[type(event)] for event in events], "u1"),
     }
 
 
-def _acts(result: Result) -> Iterator[Change]:
+def _events_with_action(result: Result) -> Iterator[Change]:
     """Yield the events that set an action, in order, whether or not they change it."""
     released: defaultdict[int, list[Change]] = defaultdict(list)
     for change, before in changes_with_previous(result):
@@ -106,7 +106,7 @@ def _acts(result: Result) -> Iterator[Change]:
             yield from released[event.evader]
 
 
-def _kind(result: Result) -> str:
+def _action_dtype(result: Result) -> str:
     """Return the dtype of a column of actions, with M evaders: 0 .. M, and M + 1 for unknown."""
     return "u1" if len(started(result).evaders) < 255 else "<u2"
 
@@ -172,7 +172,7 @@ def _beliefs(pieces: Pieces, result: Result, ticks: Ticks) -> ReplayData:
         "t": ticks(begin[order]),
         "reader": packed_column(reader[order], "<u2"),
         "source": packed_column(source[order], "<u2"),
-        "value": packed_column(value[order], _kind(result)),
+        "value": packed_column(value[order], _action_dtype(result)),
     }
 
 

@@ -86,7 +86,7 @@ def _radii(links: Links, size: int, seed: int, farthest: float) -> Floats:
     topology = Topology(graph, links.range, lambda: places, links.reception, per_link=per_link, seed=seed)
     for node in range(size):
         low, high = np.zeros(size), np.full(size, farthest)
-        for _ in range(64):
+        for _ in range(64):  # more than the 53 bits of a float
             places[:, 0] = middle = (low + high) / 2.0
             places[node] = 0.0
             is_reached = np.isin(np.arange(size), topology.neighbours(node))

@@ -53,6 +53,7 @@ WIDTH, HEIGHT = 4.8, 5.4
 PAD = 0.1
 """Margin around the figure, inches."""
 DPI = 100
+"""Dots per inch of a frame of this size, and of a size that the user gives as a length."""
 MAX_FRAMES = 1500
 """Maximum number of frames; each takes 0.4 MB of memory in a GIF of the usual size."""
 MAX_PIXELS = 1_000_000_000
@@ -220,7 +221,7 @@ def _drawn(result: Result, times: Sequence[int], pixels: tuple[int, int]) -> Ite
         artist.set_animated(True)
     canvas.draw()
     background = canvas.copy_from_bbox(figure.bbox)
-    before = times[0] - 1
+    before = times[0] - 1  # the first frame has the messages that end at its time
     with progress(len(times), "frames", "frame") as bar:
         for t in times:
             canvas.restore_region(background)
@@ -256,10 +257,10 @@ class _EvaderArtists:
     """
 
     def __init__(self, axes: Axes, evader: int, count: int):
-        look, lone = EvaderStyle.of(evader, count), count == 1
-        pale = look.together if lone else to_hex(tuple(_shade(look.together, PALE).tolist()))
-        name = "evader" if lone else f"evader {evader}"
-        mark: dict[str, Any] = {"ms": 6} if lone else {"ms": 8, "mfc": look.inner, "mew": 1.6}
+        look, is_only = EvaderStyle.of(evader, count), count == 1
+        pale = look.together if is_only else to_hex(tuple(_shade(look.together, PALE).tolist()))
+        name = "evader" if is_only else f"evader {evader}"
+        mark: dict[str, Any] = {"ms": 6} if is_only else {"ms": 8, "mfc": look.inner, "mew": 1.6}
         (self.trails,) = axes.plot([], [], color=pale, lw=1.0, solid_capstyle="butt")
         (self.relay,) = axes.plot([], [], color=look.alone, lw=2.5, solid_capstyle="butt")
         (self.path,) = axes.plot([], [], color=EVADER, lw=1.3, ls=(0, (3, 1)))
@@ -268,7 +269,7 @@ class _EvaderArtists:
         (self.evader,) = axes.plot([], [], look.mark, color=EVADER, label=name, **mark)
         (self.star,) = axes.plot([], [], CAPTURE_MARK, color="black", ms=14, mew=0)
         offset: dict[str, Any] = {"xytext": (6, 4), "textcoords": "offset points"}
-        self.number = axes.annotate("" if lone else str(evader), (0, 0), color=EVADER, weight="bold", **offset)
+        self.number = axes.annotate("" if is_only else str(evader), (0, 0), color=EVADER, weight="bold", **offset)
 
 
 class _Scene:
@@ -289,10 +290,10 @@ class _Scene:
         (self._crosses,) = axes.plot([], [], LOST_MARK, color=LOST, ms=5, mew=1.2, label="lost")
         (self._inactive,) = axes.plot([], [], PURSUER_MARK, mfc="white", mec=INACTIVE, ms=6, label="inactive")
         self._caption = figure.suptitle("0.00 s", x=0.1, ha="left", fontsize=10)
-        shown = [self._inactive, *self._chasers(), *(artists.evader for artists in self._evaders[:MAX_NAMED])]
-        shown += [self._dots, self._arrived] if len(self._messages.left) else []
-        shown += [self._crosses] if self._messages.lost.any() else []
-        figure.legend(handles=shown, loc="outside lower center", ncols=3, fontsize=8)
+        handles = [self._inactive, *self._chasers(), *(artists.evader for artists in self._evaders[:MAX_NAMED])]
+        handles += [self._dots, self._arrived] if len(self._messages.left) else []
+        handles += [self._crosses] if self._messages.lost.any() else []
+        figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=8)
         self.moving = self._in_order()
 
     def _chasers(self) -> list[Line2D]:
@@ -317,8 +318,8 @@ class _Scene:
         return [*chased, *messages, *layers("evader", "star", "number"), self._caption]
 
     def _set_limits(self, axes: Axes) -> None:
-        everywhere = np.concatenate([self._paths.evaders.reshape(-1, 2), self._paths.pursuers.reshape(-1, 2)])
-        low, high = everywhere.min(axis=0), everywhere.max(axis=0)
+        positions = np.concatenate([self._paths.evaders.reshape(-1, 2), self._paths.pursuers.reshape(-1, 2)])
+        low, high = positions.min(axis=0), positions.max(axis=0)
         margin = 0.05 * float((high - low).max()) or 1.0
         axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
         axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
@@ -349,12 +350,12 @@ class _Scene:
         At the end of the run, the pursuers that were active until then are included. With several evaders, a pursuer is
         not included if its evader is captured at that instant.
         """
-        lone, end = self._paths.count == 1, ended(self._result).t
+        is_only, end = self._paths.count == 1, ended(self._result).t
         return {
             period.pursuer: period.evader
             for period in self._active_periods
             if period.begin <= t
-            and (t < period.end or (t == period.end == end and (lone or period.evader not in self._captured)))
+            and (t < period.end or (t == period.end == end and (is_only or period.evader not in self._captured)))
         }
 
     def _set_evader(self, evader: int, artists: _EvaderArtists, t: int, chasers: Floats) -> None:

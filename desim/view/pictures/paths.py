@@ -197,7 +197,7 @@ def _draw_active_periods(axes: Axes, result: Result, paths: Paths, looks: dict[i
 
 
 def _draw_handovers(axes: Axes, result: Result, paths: Paths, looks: dict[int, EvaderStyle]) -> None:
-    label = "takes over"
+    label = "takes over"  # for the legend; only the first squares have a label
     for evader, look in looks.items():
         places = [paths.position_of(event) for event in handover_events(result) if event.evader == evader]
         if places:

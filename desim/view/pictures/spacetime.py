@@ -46,6 +46,8 @@ MAX_SHOWN = 10
 """Maximum size of a team whose pursuers are all drawn by default."""
 BUSIEST = 6
 """Number of pursuers that are drawn by default in a larger team."""
+TOP = -0.8
+"""The upper end of the vertical axis, in line spacings above the first line, which is at 0."""
 
 
 def spacetime(
@@ -95,7 +97,7 @@ def spacetime(
         _draw_captures(axes, result, rows, window)
         _draw_messages(axes, shown_messages, rows, len(started(result).evaders))
         _draw_decisions(axes, result, rows, window)
-        axes.set(xlabel="time (s)", ylabel="pursuer", xlim=[t / SECOND for t in window], ylim=(len(shown) - 0.4, -0.8))
+        axes.set(xlabel="time (s)", ylabel="pursuer", xlim=[t / SECOND for t in window], ylim=(len(shown) - 0.4, TOP))
         axes.set_yticks(range(len(shown)), [str(pursuer) for pursuer in shown])
         axes.tick_params(axis="y", length=0)
         axes.spines["left"].set_visible(False)
@@ -213,7 +215,7 @@ def _draw_outages(axes: Axes, result: Result, rows: dict[int, int], window: Inte
         if scope is None:
             axes.axvspan(*x, color=GREY, alpha=0.18, lw=0, zorder=0)
             offset, level = (2, -2 - 8 * level), 1 - level  # labels alternate between two heights
-            axes.annotate(fault.label, (x[0], -0.8), offset, textcoords="offset points", va="top", fontsize=7)
+            axes.annotate(fault.label, (x[0], TOP), offset, textcoords="offset points", va="top", fontsize=7)
         elif node in rows:
             row = rows[node]
             kind = "robot down" if scope == "robot" else "radio down"
@@ -227,9 +229,10 @@ def _draw_captures(axes: Axes, result: Result, rows: dict[int, int], window: Int
     for t, evader, capturer in result.trace.of(Captured):
         if window.begin <= t <= window.end:
             axes.axvline(t / SECOND, color="black", lw=0.8, ls=(0, (4, 2)), zorder=1)
-            place = (t / SECOND, -0.8)
             text = f"{evader} captured" if several else "captured"
-            axes.annotate(text, place, (-2, -2), textcoords="offset points", va="top", ha="right", fontsize=7)
+            axes.annotate(
+                text, (t / SECOND, TOP), (-2, -2), textcoords="offset points", va="top", ha="right", fontsize=7
+            )
             if capturer in rows:
                 look: dict[str, Any] = {"color": "black", "ms": 8, "zorder": 6, "clip_on": False, "ls": ""}
                 axes.plot(t / SECOND, rows[capturer], CAPTURE_MARK, label="captures", **look)
@@ -239,6 +242,7 @@ def _draw_messages(axes: Axes, messages: Sequence[Delivery], rows: dict[int, int
     """Draw lost messages as dotted lines to a cross or, for a collision, an asterisk, and all others as arrows."""
 
     def kind(message: Delivery) -> tuple[str, str]:
+        """Return the colour and the label of a message."""
         announced = action_in_game(message.body, evaders)
         if announced is None:
             return "#555555", "message"
