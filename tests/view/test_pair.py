@@ -79,6 +79,12 @@ def test_what_does_not_change_a_run_is_no_difference():
     assert found(Scenario(), other, seeds=(0, 5)) == ["seed: 0 | 5 -"]
 
 
+def test_a_text_that_ends_like_a_number_is_shown_whole():
+    table = {"kind": "trace", "table": "t,v1.0,v2.0\n0,0.1,0.2\n1,0.1,0.2\n"}
+    columns = found(*(links(latency=table | {"value": column}) for column in ("v1.0", "v2.0")))
+    assert columns[0] == "network.latency.value: v1.0 | v2.0 -"
+
+
 def test_a_long_value_is_shortened():
     (text,) = found(Scenario(), Scenario(fault=tuple(Crash(node=k, start=1.0) for k in range(20))))
     _, _, value = text.removesuffix(" -").partition("none | ")

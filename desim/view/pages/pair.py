@@ -107,7 +107,7 @@ def _text(value: Any) -> str:
     elif isinstance(value, bool):
         text = str(value).lower()
     else:
-        text = "inf" if value == INFINITY else str(value).removesuffix(".0")
+        text = "inf" if value == INFINITY else str(value).removesuffix(".0" if isinstance(value, float) else "")
     return text if len(text) <= MAX_TEXT else f"{text[: MAX_TEXT - 1]}…"
 
 
