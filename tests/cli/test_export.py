@@ -175,6 +175,14 @@ def test_a_package_that_is_missing_is_named_with_its_extra(recorded, tmp_path, m
     assert not list(tmp_path.iterdir())
 
 
+def test_the_error_of_an_exporter_that_misses_a_package_is_its_own(recorded, tmp_path):
+    def asks(result, file):
+        raise ModuleNotFoundError("install frobnicate first")
+
+    with pytest.raises(ModuleNotFoundError, match=r"^install frobnicate first$"):
+        export(run_folder.streamed(recorded), tmp_path / "x.asks", asks)
+
+
 def test_the_help_names_the_formats():
     told = desim("export", "--help").stdout
     for word in ("STORE|DIR|FILE TO", ".csv", ".parquet", ".pcapng", ".mcap", "Wireshark", "Foxglove", "--event"):

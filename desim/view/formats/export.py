@@ -143,10 +143,9 @@ def export(result: Result | StreamedResult, file: str | PathLike[str], exporter:
         try:
             count = copied["exporter"](result, part)
         except ModuleNotFoundError as error:
-            package, extra = required or ("", "")
-            if (error.name or "").partition(".")[0] != package:
+            if required is None or (error.name or "").partition(".")[0] != required[0]:
                 raise
-            raise ImportError(missing(package, extra)) from None
+            raise ImportError(missing(*required)) from None
         if not part.exists():
             raise ValueError(f"the exporter {kind_of(chosen)} should write the file that it is given, {part}")
     return None if count is None else int(count)
