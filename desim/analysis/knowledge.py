@@ -89,7 +89,7 @@ class _Announcements:
 
     source: Integers
     rank: Integers
-    """The rank of the sequence number among those of the table: 1 for the number 0, and never 0."""
+    """The rank of the sequence number among those of the table and 0, which has the rank 1."""
     created: Integers
     active: Integers
     """The evader that the source chases, or 0; -1 if the record has no action."""

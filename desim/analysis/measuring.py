@@ -39,7 +39,7 @@ def summary(result: Result, metrics: Metrics = MappingProxyType({})) -> Summary:
         metrics: further metrics by name: functions of a result that return a number, True, False or None.
 
     Raises:
-        TypeError: if it is not the result of a run; the message says what to write instead.
+        TypeError: if `result` is not the result of a run; the message says what to write instead.
         ValueError: if a metric is not a function, or if its name is already taken or is not an identifier.
         MetricError: if a user's metric fails, or returns a value of another type.
     """

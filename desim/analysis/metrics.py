@@ -133,7 +133,7 @@ def entry(of: Callable[[Result], Any], unit: str = "", note: Any = None, **field
 
 
 worse = partial(entry, more_is="worse")
-"""Creates a metric of which more is worse. Those of the functions below are None for some runs; see `Metric.given`."""
+"""Creates a metric of which more is worse. The metrics that the next functions create also have a `Metric.given`."""
 of_positions = partial(worse, given=positions_known)
 of_messages = partial(worse, given=messages_recorded)
 of_transport = partial(worse, given=has_transport)

@@ -80,7 +80,7 @@ def judge(prop: Stated, result: Result) -> Judgement:
         result: the run.
 
     Raises:
-        TypeError: if it is not the result of a run.
+        TypeError: if `result` is not the result of a run.
         ValueError: if the text states no property, the property does not fit the scenario, the protocol is its own
             reference, or the trace lacks positions or messages that a quantity needs.
     """

@@ -57,7 +57,7 @@ class Estimate:
         return f"{self.mean:.{digits}g} +- {self.half_width:.2g} (95 % interval, {runs})"
 
     def __format__(self, form: str) -> str:
-        """Return "mean +- half width", both in a format of numbers, or `str` without one; a sign is only the mean's."""
+        """Return "mean +- half width" in a format for numbers; a sign is only for the mean. Without a format: `str`."""
         return f"{self.mean:{form}} +- {self.half_width:{form.lstrip('+')}}" if form else str(self)
 
     def __repr__(self) -> str:

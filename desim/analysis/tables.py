@@ -194,10 +194,11 @@ def _captures(scenario: Scenario, run: Summary) -> Iterator[tuple[str, str, str]
     end = f"the last after {_shown(run.end_time)} s" if run.captured else outcome.removeprefix("no, ")
     note = _note_of_end(scenario, run)
     yield "captured", f"{run.captures} of {evaders}", f"{end}, {note}" if note else end
-    times, by = run.capture_times, run.capturers
+    times = run.capture_times
     for evader in [*times, *(j for j in map(str, range(1, evaders + 1)) if j not in times)][:SHOWN]:
-        time_and_pursuer = f"after {_shown(times[evader])} s by pursuer {by[evader]}" if evader in times else "no"
-        yield f"  evader {evader}", time_and_pursuer, ""
+        is_captured = evader in times
+        text = f"after {_shown(times[evader])} s by pursuer {run.capturers[evader]}" if is_captured else "no"
+        yield f"  evader {evader}", text, ""
     if evaders > SHOWN:
         yield f"  and {evaders - SHOWN} more", "", ""
 

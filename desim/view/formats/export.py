@@ -126,7 +126,7 @@ def export(result: Result | StreamedResult, file: str | PathLike[str], exporter:
         exporter: an exporter, its kind or "module:Name", for instance `Csv(events=("Decided",))`.
 
     Raises:
-        TypeError: if it is not the result of a run; the message says what to write instead.
+        TypeError: if `result` is not the result of a run; the message says what to write instead.
         ValueError: if the file has another suffix, or the messages that a .pcapng needs were not recorded.
         ImportError: if a package that the format needs is not installed.
         OSError: if the file cannot be written.

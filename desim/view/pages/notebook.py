@@ -23,7 +23,7 @@ def play(scenario: Scenario, timeout: float = 30.0) -> "PlayWidget":
         timeout: the wall time after which a run is ended, s.
 
     Raises:
-        TypeError: if it is not a scenario; the message says what to write instead.
+        TypeError: if `scenario` is not a scenario; the message says what to write instead.
         ModuleNotFoundError: if anywidget is not installed (the extra `notebook`).
     """
     scenario_argument(Scenario).check(scenario, "play")

@@ -67,7 +67,7 @@ def replay(result: Result, ghost: Result | None = None) -> Replay:
             other run.
 
     Raises:
-        TypeError: if it is not the result of a run; the message says what to write instead.
+        TypeError: if `result` or `ghost` is not the result of a run; the message says what to write instead.
         ModuleNotFoundError: if jinja2 is not installed; the message names the extra.
     """
     argument = run_argument(Result)

@@ -107,7 +107,7 @@ def _draw(axes: Axes, trace: LinkTrace) -> None:
 
 
 def _draw_line(axes: Axes, link: _Link, colour: str, is_linear: bool) -> None:
-    """Draw a link; from the cross of a row without a value on, the line is interrupted."""
+    """Draw a link; its line ends at the cross of a row without a value, and begins again at the next value."""
     # Two points for each row: a line that leads to a row without a value ends at the time of this row.
     ends = np.where(link.is_missing, np.nan, link.values)
     times, values = np.repeat(link.times, 2), np.column_stack((link.values, ends)).ravel()

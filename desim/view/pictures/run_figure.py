@@ -44,7 +44,7 @@ def plot(
         ax: the axes to draw on, for a figure of several panels; None = a figure of its own.
 
     Raises:
-        TypeError: if it is not a run, with what to write instead, or `ax` is not one pair of axes of matplotlib.
+        TypeError: if `result` is not a run (the message says what to write), or `ax` is not one pair of axes.
         ModuleNotFoundError: if matplotlib is not installed; the message names the extra.
         ValueError: if positions (trajectory) or messages (spacetime) were not recorded, or an option is wrong.
     """
