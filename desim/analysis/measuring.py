@@ -111,7 +111,6 @@ def users_metrics(named: Sequence[NamedMetric], more: Metrics = MappingProxyType
 
 
 ONE_NAME = "metric should be the name of one metric, 'active_time' for instance"
-"""The message for several names, or a list of names."""
 
 
 def check_numeric(metric: str, added: Iterable[str] = ()) -> None:

@@ -55,8 +55,7 @@ class Tally:
         self._evaders = 0
         self._down: Counter[int] = Counter()
         """By robot, the number of its present crashes, which may overlap."""
-        self._last_decision = 0
-        """ns"""
+        self._last_decision = 0  # ns
 
     def __call__(self, event: Event) -> bool:
         """Process an event; return whether a quantity may have changed."""

@@ -15,11 +15,7 @@ from desim.kernel.models.reception import Disk
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result, outcome_of
 
-TRIGGERS = {
-    "change": "announced on change",
-    "revision": "announced at every revision",
-    "never": "nothing announced",
-}
+TRIGGERS = {"change": "announced on change", "revision": "announced at every revision", "never": "nothing announced"}
 """By trigger, the description of the announcements of a run without heartbeats."""
 
 

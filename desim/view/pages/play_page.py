@@ -25,9 +25,5 @@ def play_page(playground: Playground) -> str:
     )
     environment = Environment(autoescape=True, keep_trailing_newline=True)
     return environment.from_string(template).render(
-        name=playground.name,
-        start=list(playground.start),
-        values=playground.values,
-        style=style(),
-        script=script,
+        name=playground.name, start=list(playground.start), values=playground.values, style=style(), script=script
     )

@@ -62,7 +62,7 @@ class PlayServer(ThreadingHTTPServer):
         self.token = secrets.token_urlsafe(16)
         self.hosts = {f"{name}:{self.server_port}" for name in ("127.0.0.1", "localhost")}
         self._pages, self._closed_at = 0, float("inf")
-        """The number of open pages, or of browsers with open pages, and the time at which the last one was closed."""
+        """The number of open pages, or of browsers with open pages, and the time at which the last was closed, s."""
         self._lock = threading.Lock()
         self._comparisons: dict[str, Iterator[Answer]] = {}
         """By page, the comparison whose next answers the page will ask for."""
