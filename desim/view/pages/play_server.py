@@ -106,7 +106,7 @@ class PlayServer(ThreadingHTTPServer):
         answers = self._comparisons.get(page, iter(()))
         answer = next(answers, None)
         with self._lock:
-            if answer is None and self._comparisons.get(page) is answers:  # no newer one has begun meanwhile
+            if answer is None and self._comparisons.get(page) is answers:  # no newer comparison has begun
                 del self._comparisons[page]
         return answer or {}
 

@@ -24,26 +24,26 @@ function drawMatrix() {
   }
   if (cell * ratio < SMALL) return drawPixels(c, w, from);
   if (from >= 0) { c.fillStyle = colour.faint; c.fillRect(gutter, gutter + from * cell, N * cell, cell); }
-  const kinds = [[], [], [], [], []];  // correct: chases, inactive; wrong: phantom, missed; nothing received
+  const kinds = { chases: [], inactive: [], phantom: [], missed: [], unheard: [] };  // i, j of the cells: right beliefs, wrong ones, none
   for (let i = 0; i < N; i++) for (let j = 0; j < N; j++) if (i !== j) {
     const believedAction = believed(i, j);
-    if (believedAction === truth[j]) kinds[believedAction ? 0 : received[i * N + j] === UNHEARD ? 4 : 1].push(i, j);
+    if (believedAction === truth[j]) kinds[believedAction ? "chases" : received[i * N + j] === UNHEARD ? "unheard" : "inactive"].push(i, j);
     else {
-      if (believedAction) kinds[2].push(i, j);
-      if (truth[j]) kinds[3].push(i, j);
+      if (believedAction) kinds.phantom.push(i, j);
+      if (truth[j]) kinds.missed.push(i, j);
     }
   }
   const forCells = (kind, visit) => { for (let k = 0; k < kinds[kind].length; k += 2) visit(kinds[kind][k], kinds[kind][k + 1]); };
-  c.fillStyle = colour.active; c.beginPath(); forCells(0, (i, j) => square(i, j, 0)); c.fill();
-  c.fillStyle = colour.inactive; c.globalAlpha = .55; c.beginPath(); forCells(1, (i, j) => square(i, j, cell * .38)); c.fill(); c.globalAlpha = 1;
+  c.fillStyle = colour.active; c.beginPath(); forCells("chases", (i, j) => square(i, j, 0)); c.fill();
+  c.fillStyle = colour.inactive; c.globalAlpha = .55; c.beginPath(); forCells("inactive", (i, j) => square(i, j, cell * .38)); c.fill(); c.globalAlpha = 1;
   c.fillStyle = colour.wrongBelief; c.beginPath();
-  forCells(2, (i, j) => { const x = gutter + j * cell, y = gutter + i * cell, s = cell - gap; c.moveTo(x, y); c.lineTo(x + s, y); c.lineTo(x + s, y + s); c.closePath(); });
+  forCells("phantom", (i, j) => { const x = gutter + j * cell, y = gutter + i * cell, s = cell - gap; c.moveTo(x, y); c.lineTo(x + s, y); c.lineTo(x + s, y + s); c.closePath(); });
   c.fill();
   const stroke = Math.min(Math.max(cell / 6, 1), 2.5);
-  c.strokeStyle = colour.wrongBelief; c.lineWidth = stroke; c.beginPath(); forCells(3, (i, j) => square(i, j, stroke / 2 + .5)); c.stroke();
+  c.strokeStyle = colour.wrongBelief; c.lineWidth = stroke; c.beginPath(); forCells("missed", (i, j) => square(i, j, stroke / 2 + .5)); c.stroke();
   if (M > 1 && cell > 12) writeActions(c, forCells, cell, gap, gutter);
   c.strokeStyle = colour.inactive; c.lineWidth = 1; c.globalAlpha = .6; c.beginPath();
-  forCells(4, (i, j) => { const x = gutter + j * cell, y = gutter + i * cell; c.moveTo(x + cell * .25, y + cell * .75); c.lineTo(x + cell * .75, y + cell * .25); });
+  forCells("unheard", (i, j) => { const x = gutter + j * cell, y = gutter + i * cell; c.moveTo(x + cell * .25, y + cell * .75); c.lineTo(x + cell * .75, y + cell * .25); });
   c.stroke(); c.globalAlpha = 1;
   if (suspicion) {  // a cross: the row distrusts the column
     c.strokeStyle = colour.ink; c.lineWidth = 1.2; c.beginPath();
@@ -88,8 +88,8 @@ function writeActions(c, forCells, cell, gap, gutter) {
   const write = (hue, action, i, j, x, y) => { c.fillStyle = hue; c.fillText(action, gutter + j * cell + x * (cell - gap), gutter + i * cell + y * (cell - gap) + .5); };
   c.save();
   c.font = `650 ${Math.min(cell * .42, 12)}px ${FONT}`;
-  forCells(0, (i, j) => write(colour.card, truth[j], i, j, .5, .5));
-  forCells(2, (i, j) => write(colour.card, believed(i, j), i, j, .7, .32));
-  forCells(3, (i, j) => write(colour.wrongBelief, truth[j], i, j, ...believed(i, j) ? [.3, .7] : [.5, .5]));
+  forCells("chases", (i, j) => write(colour.card, truth[j], i, j, .5, .5));
+  forCells("phantom", (i, j) => write(colour.card, believed(i, j), i, j, .7, .32));
+  forCells("missed", (i, j) => write(colour.wrongBelief, truth[j], i, j, ...believed(i, j) ? [.3, .7] : [.5, .5]));
   c.restore();
 }

@@ -8,7 +8,7 @@ const radioEdges = edgesOf("radio"), sightEdges = edgesOf("sight");
 const cross = (x, y, u, v) => x * v - y * u;
 /** Whether a ray crosses an edge; as in the network, a corner that is exactly on the ray is left of it. */
 function crosses([ax, ay, bx, by], x, y, u, v) {
-  if (x > u || (x === u && y > v)) [x, y, u, v] = [u, v, x, y];
+  if (x > u || (x === u && y > v)) [x, y, u, v] = [u, v, x, y];  // the same result in both directions
   return cross(ax - x, ay - y, ax - u, ay - v) >= 0 !== cross(bx - x, by - y, bx - u, by - v) >= 0
     && cross(ax - x, ay - y, bx - x, by - y) >= 0 !== cross(ax - u, ay - v, bx - u, by - v) >= 0;
 }
@@ -18,7 +18,7 @@ function stretch(i, j) {
   for (const edge of radioEdges) if (crosses(edge, X[i], Y[i], X[j], Y[j])) factor *= edge[4];
   return factor;
 }
-/** Whether no pursuer sees an evader, because walls or distances are between them. */
+/** Whether each pursuer is too far from an evader to see it, or behind a wall. */
 const isHidden = evader => sightEdges.length > 0 && all.every(i => {
   const x = X[player(evader)], y = Y[player(evader)];
   return (run.sensing_range !== null && Math.hypot(X[i] - x, Y[i] - y) > run.sensing_range) || sightEdges.some(edge => crosses(edge, X[i], Y[i], x, y));
