@@ -26,7 +26,7 @@ def never_changes(name: str) -> bool:
 
 @lru_cache(maxsize=256)
 def _form(kind: type) -> Literal["constant", "model", "items", "values", "object"]:
-    """Return how the values of a type are looked through."""
+    """Return how `users_objects` goes through a value of a type."""
     if kind in {tuple, list}:
         return "items"
     if kind is dict:
@@ -62,8 +62,8 @@ def is_stateless(value: Any, *, alone: bool = False) -> bool:
     """Return whether a value is a constant, or a function, class or module without state; see `fresh_copy`."""
     kind = type(value)
     if kind is FunctionType:
-        inner = *defaults_of(value), *(value.__closure__ or ())
-        return _is_ours(value) or all((not alone and is_collection(item)) or _is_constant(item) for item in inner)
+        variables = *defaults_of(value), *(value.__closure__ or ())
+        return _is_ours(value) or all((not alone and is_collection(item)) or _is_constant(item) for item in variables)
     if kind is BuiltinFunctionType:
         return isinstance(value.__self__, ModuleType | NoneType)
     return kind in CONSTANTS or isinstance(value, type | ModuleType | CodeType)
@@ -76,13 +76,13 @@ def _is_constant(value: Any) -> bool:
     return not (isinstance(value, (*COLLECTIONS, FunctionType)) or any(True for _ in users_objects(value)))
 
 
-def is_collection(held: Any) -> bool:
+def is_collection(variable: Any) -> bool:
     """Return whether a default, or a variable of an enclosing function, is a collection that the caller may read.
 
     A method of a collection, such as `calls.append`, counts as the collection.
     """
     try:
-        value = held.cell_contents if type(held) is CellType else held
+        value = variable.cell_contents if type(variable) is CellType else variable
     except ValueError:  # the variable has no value yet
         return False
     return isinstance(value.__self__ if type(value) is BuiltinFunctionType else value, COLLECTIONS)
