@@ -47,8 +47,9 @@ def warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     yield from _time_warnings(scenario)
     for place, model in models_within(scenario):
         yield from _unused_warnings(model, "".join(f"{part}." for part in place))
-    unbreakable = (k for k, prop in enumerate(scenario.properties) if not prop.can_fail(scenario))
-    yield from ((f"properties.{k}", f"it says nothing: {CANNOT_FAIL}") for k in unbreakable)
+    for k, prop in enumerate(scenario.properties):
+        if not prop.can_fail(scenario):
+            yield f"properties.{k}", f"it says nothing: {CANNOT_FAIL}"
     if scenario.sweep.design is not None and not scenario.sweep.design.is_balanced:
         size = scenario.sweep.design.size
         exponent = size.bit_length()  # of the next power of 2

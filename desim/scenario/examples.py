@@ -3,6 +3,7 @@
 import re
 import tomllib
 from collections.abc import Mapping
+from itertools import takewhile
 from pathlib import Path
 
 from desim.config.arguments import naming_arguments
@@ -34,9 +35,7 @@ def example(name: str) -> Path:
 def first_sentence(path: Path) -> str:
     """Return the first sentence of the comment at the head of a scenario file."""
     lines = path.read_text(encoding="utf-8").splitlines()
-    comment = " ".join(
-        line.lstrip("# ") for line in lines[: next(k for k, line in enumerate(lines) if line[:1] != "#")]
-    )
+    comment = " ".join(line.lstrip("# ") for line in takewhile(lambda line: line.startswith("#"), lines))
     return re.split(r"(?<=[.?!])\s", comment, maxsplit=1)[0]
 
 

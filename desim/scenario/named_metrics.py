@@ -53,11 +53,11 @@ def installed_metrics() -> Mapping[str, EntryPoint]:
 def _named(value: Any, info: ValidationInfo) -> NamedMetric:
     """Return the metric given as a function or a name.
 
-    An untrusted scenario may name only code that `protocols.KINDS` or an entry point of desim lists.
+    An untrusted scenario may name only listed code; see `desim.config.named_code.is_unlisted_import`.
 
     Raises:
-        ValueError: if the value is neither a function of one argument nor the name of one, or if the code is not
-            trusted or cannot be imported.
+        ValueError: if the value is neither a function of one argument nor the name of such a function, or if the code
+            is not trusted or cannot be imported.
     """
     if isinstance(value, NamedMetric):
         return value
