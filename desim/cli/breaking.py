@@ -127,7 +127,8 @@ def break_(
         prop = checked_property(_chosen_property(text, scenario, file.parent), scenario)
         search = _Search(scenario, prop, root, file, folder, keep, jobs, timeout, as_json)
         with storing(folder):
-            search.run_kept()
+            if keep is not None:
+                search.run_kept(keep)
             if losses is None:
                 vary = _varied_keys(source, scenario, grid)
                 search.try_cases(runs, vary, features, inf if budget is None else budget, guided=guided)
@@ -191,7 +192,7 @@ class _Search:
         """The file of the smallest violation; its replay and its picture differ in the suffix."""
         return self.folder / "smallest.toml"
 
-    def run_kept(self) -> None:
+    def run_kept(self, keep: Path) -> None:
         """Run the kept cases of the protocol and of the property, and end the program if one still violates it.
 
         With several jobs, cases run in worker processes: a case that ends its process then does not end the program.
@@ -201,7 +202,7 @@ class _Search:
         from desim.study.workers.executors import workers_for
 
         lines: list[str] = []
-        for file in [] if self.keep is None else sorted(self.keep.glob("*.toml")):
+        for file in sorted(keep.glob("*.toml")):
             _, case = source_of(file, (), folder=self.file.parent)
             is_of_protocol = case.protocol_name == self.scenario.protocol_name
             if not is_of_protocol or self.prop.text not in [prop.text for prop in case.properties]:

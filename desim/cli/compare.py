@@ -125,7 +125,7 @@ def crossover(
         crossing: Crossover | Threshold
         for other, value in where:
             with of_option("where", f"{other}={value}"):
-                result.setting(other, value)
+                result.setting(other, value)  # raises an error unless the sweep has this value
         if baseline is not None and key in result.keys:
             with of_option("baseline", baseline):
                 result.setting(key, baseline)

@@ -33,7 +33,7 @@ def make_folder(folder: Path) -> None:
 
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / ".writable").touch()
+        (folder / ".writable").touch()  # the folder may exist, and be closed to the user
         (folder / ".writable").unlink()
     except FileExistsError as error:
         fail(f"--out {folder}: cannot be written: is a file, and should be a folder, made if absent ({error.filename})")

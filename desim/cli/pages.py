@@ -105,7 +105,7 @@ def report(folder: Path, out: Path | None, against: tuple[tuple[str, str], ...])
             study = replace(Study.read(folder), against=dict(against) or None)
         for key, value in against:
             with of_option("against", f"{key}={value}"):
-                study.result.setting(key, value)
+                study.result.setting(key, value)  # raises an error unless the sweep has this value
         page = page_of(study).encode()
     write(page, path)
     groups = study.result.groups

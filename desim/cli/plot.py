@@ -190,7 +190,7 @@ def _draw_sweep(result: "SweepResult", kind: str, source: Path, out: Path | None
     for name, keys in options_of_keys.items():
         for key in keys:
             with of_option(name, key):
-                result.values(key)
+                result.values(key)  # raises an error if the sweep has no such key
     if "against" in options:
         options["against"] = dict(options["against"])
         with of_option("against", " ".join(f"{key}={value}" for key, value in options["against"].items())):

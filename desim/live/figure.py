@@ -24,20 +24,20 @@ def agreement_figure(agreement: Agreement) -> Figure:
     On the left is the mean number of pursuers that chase, over time; after its end a run counts as 0. On the right, the
     active time: each point is a seed; without any difference, all points would be on the diagonal.
     """
-    both: dict[str, Sequence[Result]] = {"live": agreement.live, "simulated": agreement.simulated}
+    results_of: dict[str, Sequence[Result]] = {"live": agreement.live, "simulated": agreement.simulated}
     with styled(SIZE) as figure:
         left, right = figure.subplots(1, 2)
-        _draw_activity(left, both)
+        _draw_activity(left, results_of)
         _draw_pairs(right, agreement)
     return figure
 
 
-def _draw_activity(axes: Axes, both: dict[str, Sequence[Result]]) -> None:
-    steps = {name: [activity(result) for result in results] for name, results in both.items()}
-    end = max(float(np.sum(durations)) for several in steps.values() for durations, _ in several)
+def _draw_activity(axes: Axes, results_of: dict[str, Sequence[Result]]) -> None:
+    steps = {name: [activity(result) for result in results] for name, results in results_of.items()}
+    end = max(float(np.sum(durations)) for functions in steps.values() for durations, _ in functions)
     grid = np.linspace(0.0, end, GRID)
-    for (name, several), colour, line in zip(steps.items(), SERIES, ("-", "--"), strict=False):
-        curves = [_at(grid, function) for function in several]
+    for (name, functions), colour, line in zip(steps.items(), SERIES, ("-", "--"), strict=False):
+        curves = [_at(grid, function) for function in functions]
         axes.plot(grid, np.mean(curves, axis=0), color=colour, ls=line, label=name)
     axes.set(xlabel="time (s)", ylabel="pursuers that chase", ylim=(0.0, None))
     axes.legend()

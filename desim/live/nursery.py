@@ -119,9 +119,10 @@ def serve() -> None:
     while children:
         _reap(children)
         select.select([], [], [], POLL)
-        for child in children if monotonic() > deadline else ():
-            with suppress(ProcessLookupError):
-                os.kill(child, signal.SIGKILL)
+        if monotonic() > deadline:
+            for child in children:
+                with suppress(ProcessLookupError):
+                    os.kill(child, signal.SIGKILL)
 
 
 def _serve(children: dict[int, tuple[int, int]]) -> bool:

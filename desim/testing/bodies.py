@@ -212,7 +212,7 @@ class _Body:
         offsets[0] = 0.05  # within the capture radius
         headings = np.exp(1j * rng.uniform(-pi, pi, count))
         speeds = np.array([2.0, 0.5, 0.9, 2.0, 3.0, 1.5, 2.0, 1.0])
-        courses = Courses(headings * speeds * (np.arange(count) % 2), headings)
+        courses = Courses(headings * speeds * (np.arange(count) % 2), headings)  # every second pursuer is at rest
         original = [array.tobytes() for array in (offsets, *courses, speeds)]
         times = self._times(offsets, courses, speeds)
         call = "capture_times(offsets, courses, speeds, evader_speed, radius)"

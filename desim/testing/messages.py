@@ -83,6 +83,7 @@ class Conservation:
 
     def _depart(self, event: Broadcast | Sent) -> None:
         fates = dict(event.fates())
+        # A receiver that is listed twice would have one fate.
         _require(isinstance(event, Sent) or len(fates) == len(event.dst), "a message is transmitted once", event)
         _require(event.created <= event.t, "no message is transmitted before it was created", event)
         # LOST is less than any time, so for most events a single comparison is enough.
@@ -99,7 +100,7 @@ class Conservation:
         if event.transmission in self._waiting:  # receivers that were counted when the transmission was queued
             self._sent -= len(self._waiting[event.transmission] & fates.keys())
             self._wait_no_more(event.transmission, fates)
-        if event.transmission in self._flying:
+        if event.transmission in self._flying:  # a transmission to several nodes has an event `Sent` for each
             departure, flying = self._flying[event.transmission]
             _require(departure.t == event.t and flying.keys().isdisjoint(fates), "a message is transmitted once", event)
             fates = flying | fates
@@ -175,9 +176,8 @@ class Conservation:
                 _require(LOST not in flying.values(), "a message that never arrives has a Lost event", event)
                 reached = [dst for dst, arrival in flying.items() if arrival < before]
                 self._delivered += len(reached)
-                for node in reached if self._faults else ():
-                    _require(not self._down(node), f"no message reaches {node}, whose radio is down", event)
-                    _require(not self._cut(event.src, node), f"no message reaches {node} across a partition", event)
+                if self._faults:
+                    self._check_reached(event, reached)
                 if len(reached) == len(flying):
                     del self._flying[transmission]
                     if transmission not in self._waiting:
@@ -187,6 +187,11 @@ class Conservation:
                         event,
                         {dst: arrival for dst, arrival in flying.items() if arrival >= before},
                     )
+
+    def _check_reached(self, event: Broadcast | Sent, nodes: "Iterable[int]") -> None:
+        for node in nodes:
+            _require(not self._down(node), f"no message reaches {node}, whose radio is down", event)
+            _require(not self._cut(event.src, node), f"no message reaches {node} across a partition", event)
 
     def _down(self, node: int) -> bool:
         return any(isinstance(fault, Crash) and fault.node == node for fault in self._faults)

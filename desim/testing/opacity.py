@@ -97,7 +97,9 @@ class OpacityWatcher:
     def _judge_sightings(self, event: Broadcast | Sent) -> None:
         """Judge the sightings that a pursuer reports."""
         body = event.body if self._judges_sight and isinstance(event.body, tuple) else ()
-        for sighting in body if all(isinstance(item, Sighting) for item in body) else ():
+        if not all(isinstance(item, Sighting) for item in body):
+            return
+        for sighting in body:
             t = nanoseconds(sighting.seen)
             self.judged += 1
             for evader in self._behind(t, event.src, [self._size + sighting.evader - 1], self._sight):
