@@ -50,6 +50,8 @@ class OpacityWatcher:
         self._speeds = np.array([*pursuers, *evaders]) + scenario.environment.top_speed
         if scenario.motion.static:
             self._speeds[:] = 0.0
+        # A relayed report is of another pursuer's sighting, a skewed clock shows another time, and the team of an
+        # omniscient protocol has no sensors.
         judges_sight = not (scenario.sensing.relay or is_skewed(scenario.fault) or scenario.protocol_traits.omniscient)
         self._judges_sight = bool(self._sight) and judges_sight
         self._size = scenario.team.count
@@ -110,20 +112,20 @@ class OpacityWatcher:
 
     def _behind(self, t: int, player: int, others: list[int], segments: Segments) -> list[int]:
         """Return the players that are certainly behind a wall, as seen from another one, at a time, ns."""
-        nearest = self._nearest(t)
-        if nearest is None:
+        sample = self._last_sample(t)
+        if sample is None:
             return []
-        when, places = nearest
+        when, places = sample
         margin = self._speeds[[player, *others]].max() * seconds(abs(t - when)) + ROUNDING
         behind = np.asarray(crossings(places[[player]], places[others], segments, margin).any(axis=1))
         return [other for other, is_behind in zip(others, behind.tolist(), strict=True) if is_behind]
 
-    def _nearest(self, t: int) -> tuple[int, Floats] | None:
+    def _last_sample(self, t: int) -> tuple[int, Floats] | None:
         """Return the last sample up to a time, ns; None if it is no longer kept."""
         index = bisect_right(self._samples, t, key=lambda sample: sample[0])
         return self._samples[index - 1] if index else None
 
     def _place(self, t: int, player: int) -> list[float]:
-        nearest = self._nearest(t)
-        assert nearest is not None
-        return [round(coordinate, 3) for coordinate in nearest[1][player].tolist()]
+        sample = self._last_sample(t)
+        assert sample is not None
+        return [round(coordinate, 3) for coordinate in sample[1][player].tolist()]
