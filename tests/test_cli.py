@@ -792,6 +792,21 @@ def test_keys_that_do_not_exist_are_refused(key, why):
 
 
 @pytest.mark.parametrize(
+    ("key", "advice"),
+    [
+        ("packet-loss", "; did you mean network.loss?"),
+        ("network.latency.Mean", "; did you mean network.latency.mean?"),
+        ("network.delay", "; did you mean network.latency.delay or fault.0.delay?"),
+        ("network.loss.kind", ", signal_trace"),
+    ],
+)
+def test_keys_that_are_spelled_in_another_way_are_suggested(key, advice):
+    """A kind has no suggestion: the message has those of the key."""
+    (said,) = refused("keys", key)
+    assert said.endswith(advice)
+
+
+@pytest.mark.parametrize(
     ("kind", "traits"),
     [
         ("server", ["assumes = ('host_in_range', 'no_crashes')", "announces = False", "reckons = True"]),

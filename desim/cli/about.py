@@ -81,19 +81,32 @@ def keys(key: str | None) -> None:
             place = re.sub(r"\.\d+\b", "", key).split(".")  # fault.0.start is described as fault.start
             echo("\n".join(described_at(place, Scenario)))
     except ValueError as error:
-        from desim.config.key_index import homes_of
-
         if is_file(str(key)):
             fail(
                 f"{key}: is a file: `desim check {key}` prints it with all keys; a KEY is network.latency for instance"
             )
         if isinstance(error, KindMissingError):
             fail(str(error))
-        above, _, last = str(key).rpartition(".")
-        similar_keys = list(dict.fromkeys(similar.dotted for similar in homes_of(last, Scenario)))
-        similar_keys.sort(key=lambda dotted: not dotted.startswith(f"{above}."))  # those in the same table first
+        table, _, last = str(key).rpartition(".")
+        similar_keys = _similar_keys(last)
+        similar_keys.sort(key=lambda dotted: not dotted.startswith(f"{table}."))  # those in the same table first
         hint = f"; did you mean {' or '.join(similar_keys[:3])}?" if similar_keys else ""
         fail(f"{error}{hint}")
+
+
+def _similar_keys(word: str) -> list[str]:
+    """Return the outermost keys of scenarios whose last part is a word or its synonym, or else is similar."""
+    from desim.config.key_index import homes_of
+    from desim.config.key_suggestions import WORDS_FOR_KEYS
+    from desim.scenario.scenario import Scenario
+
+    if word == "kind":  # selects a model, and is not described: the error lists the kinds
+        return []
+    word = word.lower().replace("-", "_")
+    matches = homes_of(word, Scenario)
+    if word in WORDS_FOR_KEYS and all(match.place[-1] != word for match in matches):
+        matches = homes_of(WORDS_FOR_KEYS[word], Scenario)
+    return list(dict.fromkeys(match.dotted for match in matches))
 
 
 @click.command()
