@@ -19,7 +19,7 @@ COUNT = click.IntRange(1, 1_000_000)
 class _PathType(click.Path):
     """The type of paths, whether or not they exist.
 
-    It refuses a path of which the system does not say whether it exists, as in a folder without permission.
+    It refuses a path that the system does not look up, for instance in a folder without permission.
     """
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:

@@ -94,7 +94,7 @@ def labels_of(result: "SweepResult", labels: Iterable[tuple[str, str]]) -> dict[
     """Return the texts of the options --label by value.
 
     A value may contain "=", too. So a label is split at the first "=" that follows a value of the sweep; if there is no
-    such value, at its first "=", as in `labels`.
+    such value, at its first "=", as the option has split it.
     """
     from desim.study.results.runs import text
 

@@ -98,7 +98,7 @@ def _of_results(file: Path) -> str:
     if file.suffix == ".toml" or not any((folder / name).exists() for name in (TRACE, STORE)):
         return ""
     scenario = folder / "scenario.toml"
-    is_record = file.name == "run.json" and (folder / TRACE).exists()  # `desim run` repeats runs, and no sweeps
+    is_record = file.name == "run.json" and (folder / TRACE).exists()  # `desim run --from` repeats no sweeps
     how = f"run --from {quote(str(file))}` repeats the run" if is_record else f"plot {quote(str(folder))}` draws them"
     beside = f"; their scenario is {scenario}" if scenario.exists() else ""
     return f"{file}: belongs to the results in the folder {folder}, and is no scenario{beside}; `desim {how}"
@@ -155,7 +155,7 @@ def valid(source: "Source") -> "Scenario":
     if scenario.record.metrics:
         from desim.analysis.measuring import users_metrics
 
-        for k in range(len(scenario.record.metrics)):  # if the first k can be measured, metric k has the error
+        for k in range(len(scenario.record.metrics)):  # one more each time, so that metric k has the error
             try:
                 users_metrics(scenario.record.metrics[: k + 1])
             except ValueError as error:

@@ -48,7 +48,7 @@ class FieldLayout(NamedTuple):
     end: int
     """Index after its last number; of places, the length of the list."""
     limits: NumberRange | None
-    """The limits of the items of a list or of places; those of numbers of a fixed count are in the layout."""
+    """The limits of the items of a list or of places; `Layout` has those of numbers of a fixed count."""
 
 
 class Layout:

@@ -37,11 +37,11 @@ class OwnBodies:
         bodies = {name: value for name, value in named if _is_body(value)}
         self._classes: dict[str, type[Any]] = bodies | {"Record": Record, "Forwarded": Forwarded}
         self._names = {kind: name for name, kind in self._classes.items()}
-        # If a class has several names in the module, such as that of an alias, its own one is sent.
+        # If a class has several names in the module, such as an alias, its `__name__` is sent.
         self._names |= {kind: kind.__name__ for name, kind in self._classes.items() if kind.__name__ == name}
 
     def pack(self, port: str, body: Any) -> bytes:
-        """Return a port and a body as bytes, the first four of which are the number of the others."""
+        """Return a port and a body as bytes, after four bytes with the number of these."""
         with naming_extras():
             from msgspec import msgpack
         try:
@@ -86,7 +86,7 @@ class OwnBodies:
         )
 
     def _parts(self, value: Any) -> Iterable[Any]:
-        """Return the items of a named tuple, or the fields of a dataclass; refuse one whose attributes are others."""
+        """Return the items of a named tuple, or the fields of a dataclass; raise WireError if it has others."""
         if isinstance(value, tuple):
             return value
         names = [field.name for field in fields(value)]
