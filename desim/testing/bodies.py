@@ -57,7 +57,7 @@ class _Body:
         self.tested, self.model = tested, model
 
     def piece(self, call: _Call) -> Piece:
-        """Return the motion that the dynamics return, an equal one for an equal call."""
+        """Return the motion that a call returns; require that it is valid, and equal when the call is repeated."""
         with self.tested.blaming(str(call)):
             first, second = self.model(*call), self.model(*call)
         if not isinstance(first, Piece):
@@ -72,7 +72,7 @@ class _Body:
         return first
 
     def check_motion(self, call: _Call) -> None:
-        """Compare the positions of a piece with its velocities, and these with the limits."""
+        """Compare the positions of a piece with its velocities, and the velocities with the limits."""
         piece = self.piece(call)
         require, command = self.tested.require, call.command
         require(
@@ -185,9 +185,9 @@ class _Body:
         with self.tested.blaming("headings(rng, 5)"):
             first, second = (self.model.headings(np.random.default_rng(1), 5) for _ in range(2))
         array = np.asarray(first)
-        right = array.shape == (5,) and array.dtype.kind in "iufc" and bool(np.allclose(np.abs(array), 1.0))
+        is_valid = array.shape == (5,) and array.dtype.kind in "iufc" and bool(np.allclose(np.abs(array), 1.0))
         self.tested.require(
-            right, f"headings(rng, 5) returns {value_text(first)}, expected 5 complex numbers of length 1"
+            is_valid, f"headings(rng, 5) returns {value_text(first)}, expected 5 complex numbers of length 1"
         )
         self.tested.require(
             np.array_equal(array, second), "headings(rng, 5) returns others for an equal rng; draw from rng only"
@@ -254,9 +254,9 @@ class _Body:
         with self.tested.blaming(call):
             reply = self.model.capture_times(offsets, courses, speeds, EVADER_SPEED, CAPTURE_RADIUS)
         times = np.asarray(reply)
-        right = times.shape == speeds.shape and times.dtype.kind in "iuf" and not np.isnan(times).any()
+        is_valid = times.shape == speeds.shape and times.dtype.kind in "iuf" and not np.isnan(times).any()
         self.tested.require(
-            right, f"{call} returns {value_text(reply)}, expected as many times in s, or inf, in an array"
+            is_valid, f"{call} returns {value_text(reply)}, expected as many times in s, or inf, in an array"
         )
         return times
 

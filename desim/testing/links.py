@@ -355,8 +355,8 @@ def _drawn(links: _Links, draw: Any, count: int, kinds: str, noun: str) -> NDArr
     with links.tested.blaming(call):
         first, second = (draw(count, np.random.default_rng(1)) for _ in range(2))
     array = np.asarray(first)
-    right = array.shape == (count,) and array.dtype.kind in kinds
-    links.tested.require(right, f"{call} returns {_form(first)}, expected {count} {noun}")
+    is_valid = array.shape == (count,) and array.dtype.kind in kinds
+    links.tested.require(is_valid, f"{call} returns {_form(first)}, expected {count} {noun}")
     links.tested.require(np.array_equal(array, second), f"{call} returns others for an equal rng; draw from rng only")
     return array
 
