@@ -174,7 +174,7 @@ def draw_sight(shares: "Axes", times: "Axes", sight: Sequence[Sighted]) -> None:
     styles = zip((palette.BLUE, palette.VERMILION, palette.GREEN), "osv", ESTIMATES, strict=True)
     for k, (colour, marker, kind) in enumerate(styles):
         line = [sighted for sighted in sight if sighted.estimate == kind and sighted.radius < inf]
-        x = [sighted.radius * 1.08 ** (k - 1) for sighted in line]  # side by side
+        x = [sighted.radius * 1.08 ** (k - 1) for sighted in line]  # shifted, so that error bars do not overlap
         style: dict[str, Any] = {"color": colour, "marker": marker, "lw": 0.8, "elinewidth": 0.6}
         draw_estimates(shares, x, [sighted.captured for sighted in line], label=ESTIMATES[kind], **style)
         draw_estimates(times, x, [sighted.active_time for sighted in line], **style)
