@@ -16,6 +16,7 @@ from desim.pursuit.motion.capture import capture_time
 from desim.pursuit.motion.dead_reckoning import MotionState
 from desim.pursuit.motion.dynamics import Course, Courses, Simple
 from desim.pursuit.motion.environment import Environment
+from desim.pursuit.motion.flow import NoFlow, SteadyFlow
 from desim.scenario.scenario import PROTOCOLS
 from desim.simulation.world import World
 from desim.study.ablation.imperfections import without_inertia
@@ -205,6 +206,23 @@ def test_a_teammate_is_reckoned_exactly_while_it_chases_and_after_it_has_stopped
             found = parts.view.idle(motion, now - ended)
             assert found.position == pytest.approx(parts.state.position(0), abs=1e-9)
             assert found.course.velocity == pytest.approx(parts.state.players.course(0).velocity, abs=1e-9)
+
+
+@pytest.mark.parametrize("dynamics", [Simple(), *LIMITED], ids=["simple", *NAMES])
+@pytest.mark.parametrize("flow", [NoFlow(), SteadyFlow(velocity=(0.3, -0.1))], ids=["still", "flow"])
+def test_to_be_idle_for_a_time_is_to_be_idle_for_a_part_of_it_and_then_for_the_rest(dynamics, flow):
+    parts = world_of(having(dynamics, environment=Environment(flow=flow)))
+    parts.world.begin()
+    parts.env.run(until=2 * SECOND)
+    start, since, between = parts.state.motion(0), SECOND * 9 // 10, SECOND * 7 // 10
+    if start.course is not None:
+        start = MotionState(start.position, Course(1.5 * start.course.heading, start.course.heading))
+    found = parts.view.idle(parts.view.idle(start, since, between), between)
+    whole = parts.view.idle(start, since)
+    assert found.position == pytest.approx(whole.position, abs=1e-9)
+    assert (abs(whole.position - start.position) > 0.1) == (flow != NoFlow() or type(dynamics) is Acceleration)
+    if whole.course is not None:
+        assert found.course.velocity == pytest.approx(whole.course.velocity, abs=1e-9)
 
 
 def test_without_a_course_a_teammate_is_reckoned_as_if_its_motion_were_simple():

@@ -8,6 +8,7 @@ import pytest
 
 from desim import Scenario, run, summary
 from desim.kernel.core.events import Trace
+from desim.kernel.core.seeds import stream
 from desim.pursuit.core.events import Captured, Decided, Sampled, Started
 from desim.pursuit.core.state import complex_points
 from desim.scenario.checks import warnings
@@ -292,6 +293,9 @@ def test_random_starts_are_outside_of_walls():
         free = made.space.are_free(complex_points(before))
         assert (starts[free] == before[free]).all()  # the others stay where they are
         inside += np.count_nonzero(~free)
+        draws = stream(seed, "evader", 0).uniform(0.0, 19.0, (50, 2))
+        first = draws[made.space.are_free(complex_points(draws)).argmax()]
+        assert (made.evaders[0].start(seed, 0, made.space) == first).all()
     assert inside > 50
     full = {"polygon": [[-1, -1], [21, -1], [21, 21], [-1, 21]], "blocks": ["motion"]}
     with pytest.raises(ScenarioError, match=r"team\.box: the walls leave no place in the box from 0 to 20 m"):

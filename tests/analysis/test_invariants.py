@@ -71,6 +71,7 @@ def show(watcher, *events):
 )
 def test_stopwatches_run_while_pursuers_are_active(events, own):
     watcher = ActiveTimeWatcher()
+    assert watcher.end == 0
     show(watcher, *events)
     assert watcher.until(3 * S).tolist() == [round(each * S) for each in own]
 

@@ -806,6 +806,18 @@ def test_a_step_takes_a_finite_time(dt):
     assert network.step(0.1) == []
 
 
+def test_a_loss_that_is_certain_at_sending_is_counted_once_however_often_counts_are_read_at_its_instant():
+    network = SteppedNetwork(3, Links(latency=0.1), faults=[Crash(node=1, start=0.0, end=5.0)])
+    network.step(0.01)
+    network.send(0, None, "x")
+    network.step(0.1)
+    counts = network.counts()
+    assert (counts.sent, counts.delivered, counts.lost_by, counts.in_flight) == (2, 1, {"crash": 1}, 0)
+    assert network.counts() == counts
+    network.step(0.1)
+    assert network.counts().lost_by == {"crash": 1}
+
+
 @pytest.mark.parametrize(("count", "end"), [(10, "8, 9"), (11, r"8, 9, \.\.\.")])
 def test_up_to_ten_nodes_are_named_where_there_is_no_such_node(count, end):
     with pytest.raises(ValueError, match=f"there is no node 11: the nodes are 0, 1, 2, 3, 4, 5, 6, 7, {end}$"):
