@@ -53,8 +53,8 @@ def ls(folder: Path, as_json: bool) -> None:
 def compare(first: Path, second: Path, metrics: tuple[str, ...], table_format: str, as_json: bool) -> None:
     """Compare two sweeps: B minus A for each configuration that both have.
 
-    A and B are folders or stores. Runs with the same seed are paired; without common seeds, the runs are independent
-    ones. A sentence says where the two differ, corrected for the number of comparisons.
+    A and B are folders or stores. Runs with the same seed are paired. With fewer than two seeds in common, the runs
+    are compared as independent ones. A sentence says where the two differ, corrected for the number of comparisons.
     """
     from desim.study.results.runs import SHOWN
     from desim.study.sweeps.folder import compare as compared

@@ -27,7 +27,7 @@ from desim.results import provenance
 from desim.scenario.players import Team
 from desim.study.ablation.explain import Variants
 from desim.study.results.costs import Saving
-from desim.study.store.history import shell_lines, wanted
+from desim.study.store.history import runs_requested, shell_lines
 from desim.study.store.run_table import Row
 from desim.study.store.store import Store
 from desim.study.sweeps.sweep_plan import SweepPlan
@@ -262,8 +262,8 @@ def test_all_commands_and_the_names_of_several_working_folders_are_listed():
     told += ["# in the folder c", "desim sweep 'x y.toml'"]
     assert shell_lines([first, more, other]) == told
     made = {"what": "sweep", "runs": 99}
-    assert [wanted(made, each) for each in ([first], [first, other], [until], [])] == [99, None, None, None]
-    assert wanted(made | {"what": "explain"}, [first]) is None
+    assert [runs_requested(made, each) for each in ([first], [first, other], [until], [])] == [99, None, None, None]
+    assert runs_requested(made | {"what": "explain"}, [first]) is None
 
 
 def test_pictures_are_as_large_as_in_print_so_that_all_type_is_of_one_size(full):

@@ -51,7 +51,7 @@ def _command(argv: Sequence[str], folder: Path) -> str:
     return shlex.join([_without_folder(program, folder), *arguments])
 
 
-def wanted(made: Document, commands: Sequence[tuple[str, Sequence[str]]]) -> int | None:
+def runs_requested(made: Document, commands: Sequence[tuple[str, Sequence[str]]]) -> int | None:
     """Return the number of runs that a sweep requests, given its run.json and the commands that added runs.
 
     Return None if the run.json is not that of a sweep. Return None, too, if the number was not fixed in advance: with

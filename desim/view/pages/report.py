@@ -27,7 +27,7 @@ from desim.study.results.costs import AS_IT_IS, IDEAL, PERFECT, SILENT
 from desim.study.results.explanation import Explanation
 from desim.study.results.result import SweepResult
 from desim.study.results.runs import SHOWN, text
-from desim.study.store.history import shell_lines, wanted
+from desim.study.store.history import runs_requested, shell_lines
 from desim.study.store.properties import flat
 from desim.study.store.store import Store
 
@@ -149,7 +149,7 @@ def report(study: Study) -> str:
         more_failures=len(failures) - MAX_FAILURES,
         findings=list(findings(study)),
         commands=shell_lines(study.commands),
-        asked=None if document is None else wanted(document, study.commands),
+        asked=None if document is None else runs_requested(document, study.commands),
         origin=({} if document is None else _origin(document)) | _computed_by(study.versions),
         panels=[
             _inline(
