@@ -97,8 +97,8 @@ def fates(
 
         def step(duration: float) -> None:
             if nanoseconds(duration):
-                for arrived in network.step(duration):
-                    arrivals.setdefault((arrived.body, arrived.dst), arrived.arrived)
+                for received in network.step(duration):
+                    arrivals.setdefault((received.body, received.dst), received.arrived)
                 losses.update(((lost.body, lost.dst), lost.cause) for lost in network.lost())
 
         for row, values in enumerate(_rows(messages)):
@@ -161,7 +161,7 @@ def _order(names: Iterable[Any]) -> list[Any] | None:
     """Return the names by which a table has `COLUMNS`, in capitals or not; None if the table names no columns.
 
     Raises:
-        ValueError: if the table names columns, and one of `COLUMNS` is missing. Taken in order, they could be others.
+        ValueError: if the table names columns, and one of `COLUMNS` is missing; by their order, they could be others.
     """
     by_column = {name.lower(): name for name in names if isinstance(name, str)}
     if missing := [column for column in COLUMNS if column not in by_column]:

@@ -138,7 +138,7 @@ def _metis(file: Path, ending: str, text: str) -> "nx.Graph[Any] | None":
         return None
     if graph is None and ending in METIS - {".graph"}:
         raise ValueError(f"{file} is not a graph of METIS: its first line should have the number of the lines below")
-    # Without edges, it is more probably a list: the line `1 0` is an edge there, and a node without edges here.
+    # Without edges, it is more probably a list: the line `1 0` is an edge in a list, and one node in METIS.
     return graph if ending in METIS or (graph is not None and graph.number_of_edges()) else None
 
 

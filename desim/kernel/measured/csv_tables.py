@@ -177,10 +177,10 @@ def select(text: str, columns: tuple[str, ...], name: str) -> str:
     if not has_commas:
         rows = with_points(rows, cells_in_use, name)
     writer = csv.writer(selected, lineterminator="\n")
-    first, _ = next(rows)
-    selected.write("\n" * (first - 1))
+    header_line, _ = next(rows)
+    selected.write("\n" * (header_line - 1))
     writer.writerow(columns)
-    next_line = first + 1
+    next_line = header_line + 1
     for line, cells in rows:
         if line > next_line:
             selected.write("\n" * (line - next_line))

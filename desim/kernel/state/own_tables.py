@@ -111,9 +111,10 @@ class OwnTables:
             if arrival > now:
                 still_in_flight += arrival, record
                 continue
+            rank = record.seq, -arrival  # a newer record ranks higher, and of one record the earlier arrival
             stored, shared = table.get(record.src), self._shared(node, record.src)
-            if (stored is None or (stored[1].seq, -stored[0]) < (record.seq, -arrival)) and (
-                shared is None or (shared[1].seq, -shared[0]) < (record.seq, -arrival)
+            if (stored is None or (stored[1].seq, -stored[0]) < rank) and (
+                shared is None or (shared[1].seq, -shared[0]) < rank
             ):
                 _store((arrival, record), table, matching, self._predicate)
         return still_in_flight

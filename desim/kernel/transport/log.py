@@ -48,7 +48,7 @@ class TransportLog:
         self._wants_messages = trace is not None and trace.wants_messages
         self.submitted = self.attempts = self.acknowledgements = 0
         self._delivered = self._expired = self._retransmissions = self._deadlines_missed = self._liveliness_lost = (
-            self._delay
+            self._total_delay
         ) = 0
         self._given_up: Counter[GiveUp] = Counter()
 
@@ -56,7 +56,7 @@ class TransportLog:
         """Record the delivery of a message to a node."""
         now = self._env.now
         self._delivered += 1
-        self._delay += now - message.stamp
+        self._total_delay += now - message.stamp
         is_to_all = flow.dst is None
         if self._wants_messages:
             fields = now, flow.src, node, str(flow.port), is_to_all, seq, message.stamp, attempt, message.body
@@ -81,13 +81,13 @@ class TransportLog:
         self._append(Expired(self._env.now, flow.src, node, str(flow.port), flow.dst is None, seq))
 
     def deadline_missed(self, src: int, node: int, port: str) -> None:
-        """Record that a node has waited too long for a message of another."""
+        """Record that a node has waited too long for a message of the node `src`."""
         self._deadlines_missed += 1
         if self._trace is not None:
             self._trace.append(DeadlineMissed(self._env.now, src, node, str(port)))
 
     def liveliness_lost(self, src: int, node: int, port: str) -> None:
-        """Record that a node has received nothing from another for the time of its lease."""
+        """Record that a node has received nothing from the node `src` for the time of its lease."""
         self._liveliness_lost += 1
         if self._trace is not None:
             self._trace.append(LivelinessLost(self._env.now, src, node, str(port)))
@@ -105,7 +105,7 @@ class TransportLog:
             self.acknowledgements,
             self._deadlines_missed,
             self._liveliness_lost,
-            self._delay,
+            self._total_delay,
         )
 
     def _append(self, event: Event) -> None:
