@@ -133,7 +133,7 @@ class _DrawnOnly:
     """A model of a user in one run that is defined by its draws alone.
 
     Attributes:
-        draw: as in `LinkTraits`, and likewise the others.
+        draw: as in `LinkTraits`; so are `quantile`, `is_lost` and `time_span`.
     """
 
     def __init__(self, model: Any, draw: Callable[[int, np.random.Generator], NDArray[Any]]):

@@ -112,7 +112,7 @@ class Reliable(Quality):
     If in doubt, 2, as in TCP (RFC 6298): with 1, repetitions keep a crowded channel crowded.
     """
     max_timeout: Timeout = 1.0
-    """Time-out up to which it grows, s; a longer first time-out stays as it is.
+    """Largest time-out to which repetitions make it grow, s; a longer first time-out stays as it is.
 
     If in doubt, 1: it bounds how long a receiver that is back in reach waits for its messages.
     """
