@@ -37,7 +37,7 @@ def models_within(
     place: KeyPath = (),
     fields: Callable[[type[BaseModel]], Iterable[str]] = attrgetter("model_fields"),
 ) -> Iterator[tuple[KeyPath, BaseModel]]:
-    """Yield the place and the model of a model and of all models within it.
+    """Yield a model and all models within it, each after its place.
 
     Args:
         model: the outer model.

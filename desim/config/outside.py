@@ -100,8 +100,8 @@ def outside_sources(function: FunctionType) -> Outside:
         process |= {name for variable, name in VARIABLES if any(prefix is variable for prefix in prefixes)}
         generators |= {name for generator, name in GENERATORS if getattr(source, "__self__", None) is generator}
         try:
-            is_own_hash = source is hash and function.__name__ == "__hash__"
-            process |= {PROCESS[source]} if source in PROCESS and not is_own_hash else set()
+            defines_hash = source is hash and function.__name__ == "__hash__"  # the usual way to write this method
+            process |= {PROCESS[source]} if source in PROCESS and not defines_hash else set()
             clocks |= {CLOCKS[source]} if source in CLOCKS else set()
             clocks |= {NOW[source]} if use.is_called_alone and source in NOW else set()
             entropy |= {ENTROPY[source]} if source in ENTROPY else set()

@@ -82,7 +82,7 @@ def sweep_warnings(base: Scenario, keys: Sequence[str], scenarios: Sequence[Scen
     of_base = dict(latency_warnings([base]))
     yield from ((key, why) for key, why in latency_warnings(scenarios) if key not in of_base)
     sends_sightings = any(not scenario.sight_is_perfect for scenario in scenarios)
-    tables = ("announce.",) if sends_sightings else ("network.", "announce.")
+    tables = ("announce.",) if sends_sightings else ("network.", "announce.")  # sightings need the network
     unused = [key for key in keys if key.startswith(tables) and key != "announce.payload"]
     if unused and all(map(_senses_instead, scenarios)):
         names = ", ".join(dict.fromkeys(scenario.protocol_name for scenario in scenarios))
@@ -98,7 +98,7 @@ def _senses_instead(scenario: Scenario) -> bool:
 
 def _time_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     """Yield the warnings about times that round to 0, and about periods that are longer than the horizon."""
-    used = {
+    has_effect = {
         "announce.heartbeat": has_heartbeats(scenario),
         "sensing.period": not scenario.sight_is_perfect,
         "sensing.interval": scenario.sensing.is_noisy,
@@ -106,7 +106,7 @@ def _time_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     for key, time, markers in _numbers(scenario):
         if Counted in markers and 0.0 < time <= RESOLUTION / 2:
             yield key, f"{time:g} s {ROUNDS_TO_0}"
-        if Recurring in markers and time > scenario.horizon and used.get(key, True):
+        if Recurring in markers and time > scenario.horizon and has_effect.get(key, True):
             yield key, f"{time:g} s is longer than the horizon of {scenario.horizon:g} s"
 
 
