@@ -93,7 +93,7 @@ class Mirror:
         state.broken[frame.broken] = True
         for body, segment in zip(state.bodies, frame.segments, strict=True):
             last = segment_list(getattr(body.path, "last", None))
-            if segment and segment != last and segment[:1] >= last[:1]:  # which begins no earlier than the last
+            if segment and segment != last and segment[:1] >= last[:1]:  # a new step, not an earlier one
                 body.path.see(*_segment_of(segment))
         self._act(frame)
 
@@ -111,6 +111,7 @@ class Mirror:
         self._replace(profile)
 
     def _replace(self, profile: list[int]) -> None:
+        """Set the actions of all pursuers, and since when changed ones are performed."""
         for pursuer, (old_action, new_action) in enumerate(zip(self.state.profile, profile, strict=True)):
             if old_action != new_action:
                 self.state.acting_since[pursuer] = self.state.now

@@ -82,12 +82,12 @@ def runs(
         raise ValueError(f"at_once should be at least 1 (got {at_once})")
     if links not in get_args(LinkKind):
         raise ValueError(f"links should be {', '.join(map(repr, get_args(LinkKind)))} (got {value_text(links)})")
-    told: tuple[Any, ...] = (tell, tell if finished is None else finished)
-    if not all(map(callable, told)):
+    functions: tuple[Any, ...] = (tell, tell if finished is None else finished)
+    if not all(map(callable, functions)):
         raise ValueError(f"tell and finished should be functions (got {value_text(tell)} and {value_text(finished)})")
-    listed: Any = hosts
-    is_list = isinstance(listed, Sequence) and not isinstance(listed, str) and len(listed) == size
-    if hosts is not None and not (is_list and all(isinstance(host, str) and host for host in listed)):
+    untyped: Any = hosts  # callers without a type checker may give anything
+    is_list = isinstance(untyped, Sequence) and not isinstance(untyped, str) and len(untyped) == size
+    if hosts is not None and not (is_list and all(isinstance(host, str) and host for host in untyped)):
         raise ValueError(
             f"hosts should be the names or addresses of {size} hosts, one for each pursuer (got {value_text(hosts)})"
         )
@@ -110,7 +110,7 @@ def _play(
     async def play() -> list[LiveResult]:
         limit = asyncio.Semaphore(at_once)
 
-        async def one(seed: int | None) -> LiveResult:
+        async def play_seed(seed: int | None) -> LiveResult:
             async with limit:
                 result = await Referee(scenario, seed, **options).play(nursery)
                 if finished is not None:
@@ -118,7 +118,7 @@ def _play(
                 return result
 
         async with Nursery() as nursery, asyncio.TaskGroup() as group:
-            running = [group.create_task(one(seed)) for seed in seeds]
+            running = [group.create_task(play_seed(seed)) for seed in seeds]
         return [task.result() for task in running]
 
     return _run(play)  # type: ignore[no-any-return]
