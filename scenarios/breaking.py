@@ -36,7 +36,7 @@ from desim.study.breaking.features import FEATURES
 from desim.study.breaking.found import case_text, scenario_text
 from desim.study.breaking.search import WITHOUT_WEIGHTS, Violation, find_violation
 from desim.study.workers.batch import run_many
-from scenarios.studies.study import Options, study
+from scenarios.studies.study import NumberRange, Options, study
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -205,7 +205,7 @@ def _excess(verdict: Judgement | str | None) -> float:
     click.Option(["--protocol"], metavar="NAME", help="Search for this protocol only, such as local_min-trimmed."),
     click.Option(
         ["--minutes"],
-        type=click.FloatRange(0.0, min_open=True),
+        type=NumberRange(0.0, min_open=True),
         default=inf,
         help="Longest time of each protocol, min.",
     ),

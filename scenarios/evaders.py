@@ -42,7 +42,7 @@ from scenarios.studies.evaders_runs import (
     measure_sight,
 )
 from scenarios.studies.rivals_runs import N
-from scenarios.studies.study import Options, draw_estimates, study
+from scenarios.studies.study import NumberRange, Options, draw_estimates, study
 
 if TYPE_CHECKING:
     from desim.analysis.drawing.plots import Axes, Figure
@@ -195,7 +195,7 @@ def draw_sight(shares: "Axes", times: "Axes", sight: Sequence[Sighted]) -> None:
     20,
     click.Option(
         ["--latency"],
-        type=click.FloatRange(min=0.0, max=60.0),
+        type=NumberRange(min=0.0, max=60.0),
         default=LATENCY,
         show_default=True,
         help="One-way latency, s.",

@@ -16,7 +16,7 @@ import numpy as np
 from desim import bench
 from desim.config.whole_files import write_whole
 from desim.study.comparing.scores import Benchmark
-from desim.study.comparing.suite import COSTS, NEWEST, Suite, frozen_text
+from desim.study.comparing.suite import COSTS, NEWEST, RUNS, Suite, frozen_text
 
 
 def differences(measured: Benchmark, suite: Suite) -> Iterator[str]:
@@ -30,7 +30,7 @@ def differences(measured: Benchmark, suite: Suite) -> Iterator[str]:
 
 
 @click.command(help=__doc__)
-@click.option("--version", default=NEWEST, show_default=True, help="The version.")
+@click.option("--version", type=click.Choice([*RUNS]), default=NEWEST, show_default=True, help="The version.")
 @click.option("-n", "--runs", type=click.IntRange(2), help="Runs of each; default: those of the version.")
 @click.option("-j", "--jobs", type=click.IntRange(0), default=0, show_default=True, help="Workers; 0 = one per core.")
 @click.option("-o", "--out", type=click.Path(path_type=Path), default=Path("out/freeze"), show_default=True)

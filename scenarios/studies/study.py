@@ -4,6 +4,7 @@ import json
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -100,6 +101,17 @@ class Options:
                 click.echo(f"wrote {path}", err=True)
 
 
+class NumberRange(click.FloatRange):
+    """A range of numbers. It refuses nan, which is neither below nor above any bound."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Return the number that a text has."""
+        number: float = super().convert(value, param, ctx)
+        if isnan(number):
+            self.fail("nan is not in the range", param, ctx)
+        return number
+
+
 def metrics_of(*metrics: Callable[["Result"], Any]) -> Callable[["Result"], tuple[Any, ...]]:
     """Return a metric of runs whose value is the tuple of the values of several metrics."""
     return lambda result: tuple(metric(result) for metric in metrics)
@@ -164,6 +176,10 @@ def study(
         def main(runs: int, jobs: int, seed: int, out: Path, as_json: bool, **choices: Any) -> None:
             if seconds is not None:
                 click.echo(f"{name} {expected_time(seconds, runs, jobs, once)}", err=True)
+            try:
+                out.mkdir(parents=True, exist_ok=True)  # before the runs, which may take hours
+            except OSError as error:
+                raise click.BadParameter(f"{out}: {error.strerror}", param_hint="--out") from error
             run(Options(name, runs, jobs, seed, out, as_json, choices))
 
         main.params.extend(options)

@@ -21,6 +21,7 @@ from protocols.local_min import LocalMin
 from scenarios import (
     bodies,
     boids,
+    breaking,
     coherence,
     contention,
     delay,
@@ -28,6 +29,7 @@ from scenarios import (
     figures,
     find_table1,
     first_picture,
+    freeze,
     learning,
     liars,
     many,
@@ -215,6 +217,24 @@ def test_an_option_of_the_search_out_of_range_is_refused(option, value, why, mon
     monkeypatch.setattr(find_table1, "fitting", lambda *_: pytest.fail("it searched"))
     done = CliRunner().invoke(find_table1.main, [option, value])
     assert (done.exit_code, why in done.stderr) == (2, True), done.output
+
+
+@pytest.mark.parametrize(
+    ("module", "option", "value", "why"),
+    [
+        (table1, "--out", __file__, "File exists"),
+        (table1, "--out", f"{__file__}/folder", "Not a directory"),
+        (evaders, "--latency", "nan", "nan should be a number"),
+        (breaking, "--minutes", "nan", "nan should be a number"),
+        (freeze, "--version", "0", "'0' is not '1'"),
+    ],
+    ids=str,
+)
+def test_an_option_of_a_study_is_refused_before_its_runs(module, option, value, why, monkeypatch):
+    monkeypatch.setattr(table1, "measure", lambda _: pytest.fail("it ran"))
+    done = CliRunner().invoke(module.main, [option, value])
+    assert done.exit_code == 2
+    assert why in done.stderr
 
 
 def test_infinity_and_nan_are_strings_in_the_document_of_a_study(tmp_path, capsys):
