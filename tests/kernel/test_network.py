@@ -470,6 +470,16 @@ def test_arrivals_at_a_node_that_never_reads_are_decided_now_and_then(monkeypatc
     assert len(network._arrivals.kept) < 300
 
 
+def test_arrivals_that_nobody_has_read_are_counted():
+    """Half duplex decides arrivals at reads, and at the question how many there were."""
+    clock, medium = Clock(), Bitrate(bitrate=1e6, half_duplex=True)
+    network = Network(clock, nx.complete_graph(3), Links(latency=Uniform(0.01), medium=medium))
+    network.publish(0, "x")
+    clock.run(until=SECOND)
+    counts = network.message_counts()
+    assert (counts.sent, counts.delivered, counts.in_flight) == (2, 2, 0)
+
+
 def test_messages_that_arrive_at_one_instant_arrive_in_the_order_in_which_they_were_sent():
     """The first message of node 0 flies on to node 2 after it has reached node 1; it is still before the second."""
 

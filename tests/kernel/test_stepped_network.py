@@ -806,6 +806,20 @@ def test_a_step_takes_a_finite_time(dt):
     assert network.step(0.1) == []
 
 
+@pytest.mark.parametrize("traced", [False, True])
+def test_what_arrives_at_this_instant_is_counted_and_known_whether_or_not_a_trace_needs_it(traced):
+    """Without a trace, arrivals whose range is checked on arrival wait until someone asks."""
+    links = Links(latency=Propagation(fixed=0.0, speed=50.0), range=6.0, range_check="delivery")
+    counted, read = (SteppedNetwork(3, links, trace=Trace() if traced else None) for _ in range(2))
+    for network in (counted, read):
+        network.step(0.05, [(0.0, 0.0), (5.0, 0.0), (0.0, 2.5)])
+        network.publish(0, "x")
+        network.step(0.1)
+    counts = counted.counts()
+    assert (counts.sent, counts.delivered, counts.in_flight) == (2, 2, 0)
+    assert [record.body for node in (1, 2) for record in read.latest(node).values()] == ["x", "x"]
+
+
 def test_a_loss_that_is_certain_at_sending_is_counted_once_however_often_counts_are_read_at_its_instant():
     network = SteppedNetwork(3, Links(latency=0.1), faults=[Crash(node=1, start=0.0, end=5.0)])
     network.step(0.01)
