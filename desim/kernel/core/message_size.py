@@ -95,9 +95,8 @@ def _size(body: Any) -> int:
         total = 0
         for item in body:  # in three quarters of the time of `portable_sum`
             total += NUMBER if type(item) in SCALARS else _size(item)
-        return (
-            total + _size_of_attributes(body) if kind.__dictoffset__ else total
-        )  # an offset of 0: it has no attributes
+        has_attributes = kind.__dictoffset__ != 0
+        return total + _size_of_attributes(body) if has_attributes else total
     return 0 if body is None else size(body)
 
 
