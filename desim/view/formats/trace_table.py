@@ -104,7 +104,7 @@ COLUMNS: Mapping[str, Column] = MappingProxyType(
 PARTS: Mapping[str, Sequence[str]] = MappingProxyType(
     {"pursuers": ("pursuer", "x", "y"), "evaders": ("evader", "x", "y"), "speeds": ("speed",), "format": ()}
 )
-"""By field of an event, its columns, if a field has other columns than one of its name."""
+"""By field of an event, its columns, unless the field is one column of the same name."""
 BATCH = 1 << 15
 """Number of rows of a row group of Parquet, which are in memory together."""
 

@@ -23,7 +23,7 @@ let count = 0;  // for the ids of controls
 export function start(root, transport, options) {
   let now = new Map(), pinned = null;  // changed keys with their values; the changes of the pinned run
   let controls = [], rows = new Map(), drawnForms = "";  // the controls of the last answer, their elements, and the forms of these
-  let running = null, comparing = null, frame = null, nextFrame = null, runs = 0, query = "", wrongKeys = new Set(), texts = null;
+  let running = null, comparing = null, frame = null, nextFrame = null, runs = 0, query = "", wrongKeys = new Set(), texts = null;  // the first two abort a run, a comparison
   let lastTime = null;  // the time that the last run took, s
   let startTime = null;  // the time at which the next replay begins, s; null: the time of the present replay
   const page = `${Math.random()}`;  // the name of this page, as several may share a session

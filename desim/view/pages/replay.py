@@ -71,8 +71,8 @@ def replay(result: Result, ghost: Result | None = None) -> Replay:
         ModuleNotFoundError: if jinja2 is not installed; the message names the extra.
     """
     argument = run_argument(Result)
-    for shown in (result,) if ghost is None else (result, ghost):
-        argument.check(shown, "replay")
+    for value in (result,) if ghost is None else (result, ghost):
+        argument.check(value, "replay")
     return Replay(replay_page(result, ghost), run_name(result))
 
 
