@@ -4,7 +4,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from decimal import Decimal
-from math import exp, floor, isfinite, log
+from math import exp, floor, isfinite, isinf, log
 from typing import Any
 
 from desim.config.number_texts import exact_text
@@ -118,16 +118,20 @@ def range_of(text: str) -> list[float] | list[int] | None:
         first, last, step = map(Decimal, match.groups())
         steps = (last - first) / step if step else Decimal(-1)
     except ArithmeticError:
-        raise ValueError(f"the range {text} has an exponent that is too large") from None
+        raise _too_large(text) from None
     if steps < 0:
         raise ValueError(f"the range {text} has no end: its step should lead from {match[1]} to {match[2]}")
     _check_count(text, steps + 1)
+    if isinf(float(first)) or isinf(float(last)):  # beyond the largest `float`
+        raise _too_large(text)
     numbers = [first + k * step for k in range(int(steps) + 1)]
     is_whole = all(part.lstrip("+-").isdecimal() for part in match.groups())
     return [int(number) for number in numbers] if is_whole else [float(number) for number in numbers]
 
 
 def _in_equal_ratios(text: str, first: float, last: float, count: int) -> list[float]:
+    if isinf(first) or isinf(last):
+        raise _too_large(text)
     if not (first > 0.0 and last > 0.0):
         raise ValueError(f"the range {text} should begin and end above 0: it is logarithmic")
     if count < 2 or first == last:
@@ -135,6 +139,10 @@ def _in_equal_ratios(text: str, first: float, last: float, count: int) -> list[f
     _check_count(text, count)
     inner = (rounded(exp(log(first) + k / (count - 1) * (log(last) - log(first)))) for k in range(1, count - 1))
     return [first, *inner, last]
+
+
+def _too_large(text: str) -> ValueError:
+    return ValueError(f"the range {text} has an exponent that is too large")
 
 
 def _check_count(text: str, count: int | Decimal) -> None:

@@ -56,6 +56,8 @@ def test_other_texts_are_no_ranges(text):
         ("0:1e9999999:1", "an exponent that is too large"),
         ("0:1:1e-9999999", "an exponent that is too large"),
         ("0:1e99999999999999999999:1", "an exponent that is too large"),
+        ("0:1e400:1e399", "an exponent that is too large"),
+        ("-1e400:0:1e399", "an exponent that is too large"),
     ],
 )
 def test_a_range_without_an_end_is_refused(text, why):
@@ -91,6 +93,7 @@ def test_a_logarithmic_range_has_equal_ratios_and_exact_ends(text, numbers):
         ("log:1:2:1", "two different numbers"),
         ("log:1:1:3", "two different numbers"),
         ("log:1:2:100001", "more than 100,000 values"),
+        ("log:1:1e400:5", "an exponent that is too large"),
     ],
 )
 def test_a_logarithmic_range_without_ratios_is_refused(text, why):
