@@ -135,11 +135,8 @@ def break_protocol(folder: Path, runs: int, seconds: float, scenario: Scenario, 
 
 def broken_elsewhere(name: str, broken: Sequence[Broken]) -> list[str]:
     """Return the names of the other searches whose smallest scenario breaks the protocol `name`, too."""
-    verdicts = {
-        other.name: other.weaknesses[0].protocols.get(name)
-        for other in broken
-        if other.weaknesses and other.name != name
-    }
+    others = (search for search in broken if search.weaknesses and search.name != name)
+    verdicts = {search.name: search.weaknesses[0].protocols.get(name) for search in others}
     return [other for other, verdict in verdicts.items() if isinstance(verdict, Judgement) and not verdict.holds]
 
 

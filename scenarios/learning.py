@@ -106,12 +106,8 @@ def _with_delays(options: Options) -> None:
     trained = {WITHOUT: train(options, notes, NO_DELAY), WITH: train(options, notes, DELAY)}
     rules = {name: linear(generations[-1].mean) for name, generations in trained.items()}
     cells = compare(options, notes, rules | {"local_min": RIVALS["local_min"]}, (NO_DELAY, DELAY))
-    text = "\n\n".join(
-        [
-            costs_table(cells, options.runs),
-            *(f"{name}\n{weights_table(generations[-1].mean)}" for name, generations in trained.items()),
-        ]
-    )
+    tables = (f"{name}\n{weights_table(generations[-1].mean)}" for name, generations in trained.items())
+    text = "\n\n".join([costs_table(cells, options.runs), *tables])
     content: dict[str, Any] = {name: {"training": generations, "costs": []} for name, generations in trained.items()}
     options.show(content | {"costs": cells}, text)
 

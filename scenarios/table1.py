@@ -29,10 +29,7 @@ ANY = "any"
 
 @dataclass(frozen=True)
 class Cell:
-    """One cell of the table: the mean over the runs of the sum of active times, s, with a slot delta, s.
-
-    `ratio` is measured / published.
-    """
+    """One cell of the table, in s: the mean over runs of the sum of active times; `ratio` is measured / published."""
 
     algorithm: str
     pursuers: int

@@ -73,9 +73,8 @@ class World:
         self._sample_period = scenario.record.trajectory
         self._estimate_source = sensor if isinstance(sensor, NoisySensor) and scenario.record.estimates else None
         self._step_length = nanoseconds(scenario.motion.step)
-        self._recorded_motions = [evader.record for evader in scenario.evaders if evader.record] + [
-            *state.relays.values()
-        ]
+        recorded = [evader.record for evader in scenario.evaders if evader.record]
+        self._recorded_motions = [*recorded, *state.relays.values()]
         self._captures_to_end = scenario.capture.captures_to_end or state.evader_count
         self._steering = make_steering(scenario, state, sensor)
         self._next_turn: simpy.Event | None = None

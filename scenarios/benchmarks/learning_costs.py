@@ -44,14 +44,10 @@ def environments(options: Options) -> list[Cost]:
         scenarios = [scenario(rule, schedule, max(TEAMS)) for rule in RULES]
         envs = [desim.env(scenario) for scenario in scenarios]
         took = per_unit({"run": partial(_in_runs, scenarios), "played": partial(_in_environments, envs)}, seeds)
+        ratio = took["played"] / took["run"]
         costs += [
             Cost(f"a decision in a run, {schedule}", took["run"] * 1e6, "us"),
-            Cost(
-                f"a rule plays in an environment / in a run, {schedule}",
-                took["played"] / took["run"],
-                "",
-                RELATIVE_LIMIT,
-            ),
+            Cost(f"a rule plays in an environment / in a run, {schedule}", ratio, "", RELATIVE_LIMIT),
         ]
     for count in TEAMS:
         observed = scenario(RULES[0], "shared_seed", count)

@@ -182,17 +182,12 @@ def measure(options: Options) -> list[Cell]:
     pursuits = with_equal_bytes(options, settings.values(), WAYS, pursuit, "pursuits", run_of_pursuit)
     with_ages = [setting for (name, _), setting in settings.items() if name in WITH_AGES]
     rests = with_equal_bytes(options, with_ages, WAYS, at_rest, "ages", run_at_rest)
-    return [
-        _cell(
-            *key,
-            way,
-            pursuits[setting, way],
-            pursuits[setting, REFERENCE],
-            rests[setting, way] if key[0] in WITH_AGES else None,
-        )
-        for key, setting in settings.items()
-        for way in WAYS
-    ]
+    cells = []
+    for (name, value), setting in settings.items():
+        for way in WAYS:
+            ages = rests[setting, way] if name in WITH_AGES else None
+            cells.append(_cell(name, value, way, pursuits[setting, way], pursuits[setting, REFERENCE], ages))
+    return cells
 
 
 def _cell(
