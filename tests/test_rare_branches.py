@@ -93,7 +93,7 @@ from desim.study.sweeps.sweep_plan import SweepPlan
 from desim.testing.faults import _check_drawn
 from desim.testing.pursuits import _has_known_limit
 from desim.view.formats.foxglove import PART, Scene
-from desim.view.formats.trace_table import _is_event
+from desim.view.formats.trace_table import _checked_name
 from desim.view.pages.play_server import _Handler
 from protocols.schedules.periodic import Rounds
 from protocols.schedules.synchronous import Synchronous
@@ -539,7 +539,7 @@ REFUSED = {
         "is not an explanation: has no costs",
     ),
     "a metric that is no name": (lambda: view_of(["a", "b c"]), "metrics: name b c: should be a Python identifier"),
-    "unknown events": (lambda: _is_event("Nope"), "there are no events Nope; there are "),
+    "unknown events": (lambda: _checked_name("Nope"), "there are no events Nope; there are "),
     "pairs of independent runs": (
         lambda: replace(SweepPlan.of(SHORT, {"team.count": [2, 3]}, 2), common=False).check_reference(
             {"team.count": 2}

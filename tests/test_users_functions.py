@@ -397,10 +397,10 @@ CHECKS = {
     "medium": lambda answer: medium._checked(answer, print),
     "temperature": lambda answer: next(inverse_temperatures(lambda _: answer, SimpleNamespace(now=0.0), 1.0)),
     "fault": lambda answer: draw_faults([lambda *_: answer], 4, 1.0, 1),
-    "false capture time": lambda answer: Liar._phi(
+    "false capture time": lambda answer: Liar._announced_phi(
         with_answer(phi=answer), SimpleNamespace(least_phi=print, rng=None), 1, 2.0
     ),
-    "false position": lambda answer: Liar._place(with_answer(position=answer), 1j, SimpleNamespace(rng=None)),
+    "false position": lambda answer: Liar._announced_place(with_answer(position=answer), 1j, SimpleNamespace(rng=None)),
     "covariance": lambda answer: covariance_of(with_answer(covariance=answer), 1j),
 }
 """Functions that take the answer of a user's function, and check it."""
