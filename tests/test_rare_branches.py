@@ -180,7 +180,7 @@ POSES = ["0 0 0 0 0 0 0 1", "1 0 0 0 0 0 0 1"]
 
 def kept_after(before):
     """Return the beginnings of the transmissions that are kept if arrivals are decided from a time on, ns."""
-    transmitter = SimpleNamespace(recent=[(begin, 1, 0) for begin in (0, 4, 5, 9)], _longest=2, _lag=1)
+    transmitter = SimpleNamespace(recent=[(begin, 1, 0) for begin in (0, 4, 5, 9)], _longest_airtime=2, _lag=1)
     Transmitter.forget(transmitter, before)
     return [begin for begin, _, _ in transmitter.recent]
 
