@@ -151,7 +151,7 @@ def rule_of(scenario: Scenario) -> Rule:
     """Return the protocol of a scenario.
 
     Raises:
-        TypeError: if it is not a rule, so that it has no turns at which an action could be asked for.
+        TypeError: if the protocol is not a rule, so that it has no turns at which an action could be asked for.
     """
     rule: Any = scenario.protocol
     if scenario.protocol_traits.schedule is None or not hasattr(rule, "actions"):

@@ -49,7 +49,7 @@ def load(file: str | PathLike[str], overrides: Sequence[str] = (), *, allow_impo
             it off for files that you do not trust.
 
     Raises:
-        TypeError: if it is not a path; the message says what to write instead.
+        TypeError: if `file` is not a path; the message says what to write instead.
         ScenarioError: if the file, one of its bases or an override is not valid; the message has one line per error.
         OSError: if the file cannot be read.
     """

@@ -347,7 +347,7 @@ class Trace:
         """Return the events of one type, in order.
 
         Raises:
-            TypeError: if it is not a class of events, or a tuple of such classes.
+            TypeError: if `kind` is not a class of events, or a tuple of such classes.
         """
         if not isinstance(kind, type | tuple):
             raise TypeError(

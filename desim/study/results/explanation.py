@@ -68,7 +68,7 @@ class Explanation(TabularResult):
         """Return the table of costs as its title and rows of text; the first row is the header."""
         return [(self._head(), self.rows())]
 
-    def table(self, *, format: TableFormat = "text") -> str:  # noqa: A002 - the word of users
+    def table(self, *, format: TableFormat = "text") -> str:  # noqa: A002 - the usual word
         """Return the costs as a table: text, latex (booktabs) or markdown.
 
         Raises:

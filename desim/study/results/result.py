@@ -168,7 +168,7 @@ class SweepResult(TabularResult, SweepRuns, HintedAttributes):
         metrics: Sequence[str] = SHOWN,
         *,
         against: Mapping[str, Any] | None = None,
-        format: TableFormat = "text",  # noqa: A002 - the word of users
+        format: TableFormat = "text",  # noqa: A002 - the usual word
         labels: Mapping[str, str] = MappingProxyType({}),
         without: Sequence[str] = (),
     ) -> str:
