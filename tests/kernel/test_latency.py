@@ -2,6 +2,8 @@
 
 import tomllib
 from contextlib import nullcontext
+from decimal import Decimal
+from fractions import Fraction
 from math import exp, log, sqrt
 from types import SimpleNamespace
 
@@ -453,6 +455,7 @@ MATRIX = [[0.0, 0.1, None], [0.2, 0.0, 0.3], [0.4, 0.5, 0.0]]
         np.array(MATRIX, dtype=float),
         np.ma.masked_invalid(np.array(MATRIX, dtype=float)),
         pd.DataFrame(MATRIX, dtype="Float64"),  # its missing numbers are pandas.NA
+        [[0.0, 0.1, np.datetime64("NaT")], *MATRIX[1:]],
         tuple(map(tuple, MATRIX)),
     ],
 )
@@ -500,6 +503,9 @@ def test_a_file_has_a_line_per_sender(tmp_path, text):
         ({"values": "0 1"}, "should be a list"),
         ({"values": np.triu(np.ones((3, 3)))}, "all values below the diagonal are 0: give the latencies of both ways"),
         ({"values": np.tril(np.ones((4, 4)))}, "all values above the diagonal are 0"),
+        ({"values": [[0, 10**400], [1, 0]]}, r"values\.0\.1: should be a number"),
+        ({"values": [[0, Fraction(10**400)], [1, 0]]}, r"values\.0\.1: should be a number"),
+        ({"values": [[0, Decimal("sNaN")], [1, 0]]}, r"values\.0\.1: should be a number"),
     ],
 )
 def test_what_is_no_matrix_of_latencies_is_refused(options, why):

@@ -6,8 +6,8 @@ also has the list of all models of latency, `LATENCIES`.
 
 from collections.abc import Iterable
 from dataclasses import replace
-from math import fsum, inf, isnan
-from typing import Annotated, Any, Literal, Self, SupportsFloat
+from math import fsum, inf
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import BaseModel, Field, ValidationInfo, model_validator
@@ -114,7 +114,10 @@ MATRIX = "the matrix of latencies"
 
 def _is_absent(number: Any) -> bool:
     """Return whether an entry of a matrix, such as None, nan or pandas.NA, stands for a link that does not exist."""
-    return number is None or is_missing(number) or (isinstance(number, SupportsFloat) and isnan(number))
+    try:
+        return number is None or is_missing(number) or bool(number != number)
+    except (ArithmeticError, TypeError, ValueError):  # it has no truth value: an array, or a signalling nan of decimal
+        return False
 
 
 class LatencyMatrix(NamedTable):
