@@ -22,6 +22,7 @@ from desim.kernel.core.trace_file import line_of
 from desim.results import run_folder
 from desim.scenario.overrides import ScenarioError
 from desim.simulation.watchdog import TimedOut, within
+from desim.study.store.run_table import Column
 from scenarios.studies.study import SCENARIOS
 
 FILES = sorted(file.name for file in SCENARIOS.glob("*.toml"))
@@ -49,6 +50,12 @@ def test_a_pickle_with_a_key_that_is_gone_is_refused():
     scenario.__dict__["reckoning"] = "cheap"
     with pytest.raises(ValueError, match="a Scenario cannot be unpickled: it has no key reckoning any more"):
         pickle.loads(pickle.dumps(scenario))
+
+
+def test_columns_of_a_pickled_sweep_have_the_attributes_of_older_versions():
+    """Slots have no defaults: with another name for one of them, a pickle of an older version could not be read."""
+    _, slots = Column([1, {}]).__reduce_ex__(5)[2]
+    assert sorted(slots) == ["_kinds", "_numbers", "_places", "_texts"]
 
 
 def small(**changes):

@@ -111,13 +111,13 @@ KINDS: Mapping[type, int] = MappingProxyType({type(None): NONE, bool: BOOL, int:
 class Column:
     """The values of one metric: numbers, truth values, None, and values that JSON can hold."""
 
-    __slots__ = ("_indices", "_kinds", "_numbers", "_texts")
+    __slots__ = ("_kinds", "_numbers", "_places", "_texts")  # a pickled result has these names
 
     def __init__(self, values: Iterable[Any] = ()) -> None:
         self._numbers = array("d")
         self._kinds = bytearray()
         self._texts: list[str] = []
-        self._indices: dict[str, int] = {}
+        self._places: dict[str, int] = {}
         self.extend(list(values))
 
     def extend(self, values: Sequence[Any]) -> None:
@@ -147,7 +147,7 @@ class Column:
     def _index_of_text(self, value: Any) -> int:
         """Return the index of the text of a value among the texts, to which a new text is added."""
         text = "{}" if value == {} else encode(value)  # many tables are empty, and encoding takes a microsecond
-        index = self._indices.setdefault(text, len(self._texts))
+        index = self._places.setdefault(text, len(self._texts))
         if index == len(self._texts):
             self._texts.append(text)
         return index
