@@ -651,6 +651,10 @@ def log_of(file, text=SHORT):
     return CaseLog(file, property_of(text))
 
 
+def test_two_searches_that_found_the_same_are_equal_however_long_they_took():
+    assert Search(runs=2, seconds=1.0) == Search(runs=2, seconds=2.0) != Search(runs=3, seconds=2.0)
+
+
 @pytest.mark.whole
 def test_a_search_does_not_depend_on_what_was_run_before(tmp_path):
     file = tmp_path / "cases.jsonl"
