@@ -126,6 +126,15 @@ def test_a_hole_is_free_and_closed():
     assert shortest.distance(-1 + 4j, 10 + 4j) == pytest.approx(2.0 * sqrt(17) + 9.0)
 
 
+@pytest.mark.parametrize("ring", [[[0, 0], [4, 0], [4, 2], [0, 2]], [[0, 0], [0, 2], [4, 2], [4, 0]]])
+def test_a_place_on_a_side_of_a_box_is_seen_from_outside_of_this_side_only(ring):
+    """Along the side and from below, but not from within, from another side, or from above."""
+    obstacles = Obstacles(polygons(ring))
+    others, seen = [3 + 0j, 2 - 1j, 2 + 1j, 3 + 2j, 0 + 1j, 2 + 5j], [True, True, False, False, False, False]
+    assert obstacles.clear(1 + 0j, np.array(others)).tolist() == seen
+    assert [obstacles.clear(other, np.array([1 + 0j])).item() for other in others] == seen
+
+
 BOXES = [[[x, y], [x + 2, y], [x + 2, y + 2], [x, y + 2]] for x in (1, 6, 11, 16) for y in (1, 7, 13)]
 
 
