@@ -1,6 +1,7 @@
 """Wrong protocols, schedules and metrics: each is told what is wrong with it."""
 
 import random
+import re
 import time
 from functools import partial
 from math import inf
@@ -452,6 +453,18 @@ def test_the_runs_for_which_a_metric_is_computed_end_as_their_names_say(name):
     assert (ended.reason == "captured") == (name in {"a run that ends with a capture", "a run that ends at time 0"})
     assert (ended.t == 0) == (name == "a run that ends at time 0")
     assert ended.t == 0.5 * SECOND or ended.reason == "captured"
+
+
+@pytest.mark.parametrize("module", [decisions, metrics])
+def test_the_runs_of_a_check_have_as_many_players_as_their_names_say(module):
+    said = 0
+    for name, keys in module.SITUATIONS.items():
+        scenario = Scenario(**keys)
+        counts = {"pursuer": scenario.team.count, "evader": len(scenario.evaders)}
+        for number, player in re.findall("(one|two) (pursuer|evader)", name):
+            assert {"one": 1, "two": 2}[number] == counts[player]
+            said += 1
+    assert said
 
 
 @pytest.mark.parametrize("name", METRICS)
