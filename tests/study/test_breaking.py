@@ -239,7 +239,9 @@ def test_no_choice_of_several_messages_is_left_out(protocol, most, choices):
 def _compare_with_all(protocol, most, **choices):
     scenario = SMALL.with_({"protocol": protocol, "horizon": 1.0})
     prop = "crowded at most 0.4 in total"
-    table = fatal_losses(scenario, prop, seeds=[1], most=most, jobs=1, **choices)
+    told: list[None] = []
+    table = fatal_losses(scenario, prop, seeds=[1], most=most, jobs=1, on_run=lambda: told.append(None), **choices)
+    assert len(told) == table.runs
     every = fatal_losses(scenario, prop, seeds=[1], most=most, jobs=1, prune=False, **choices)
     assert _numbers(table) == _numbers(every)
     if most == 1:

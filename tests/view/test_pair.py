@@ -22,6 +22,7 @@ from desim.scenario.sweep_table import Sweep
 from desim.simulation.run import Result
 from desim.view.pages.pair import MAX_DIFFERENCES, MAX_TEXT, differences, side_by_side
 from desim.view.pages.replay import replay_page
+from desim.view.pages.replay_data import PARTS
 from tests.command import accepted, refused
 from tests.view.browser import in_chromium
 from tests.view.by_hand import chase, history, pair
@@ -71,6 +72,13 @@ def links(**given):
 def test_a_changed_key_is_named_with_both_values_and_the_unit_of_numbers(first, second, said):
     (text,) = found(first, second)
     assert said in (None, text)
+
+
+def test_each_part_of_a_page_is_told_to_a_progress_bar():
+    told = []
+    replay_page(history(), on_part=lambda: told.append("one"))
+    side_by_side(history(), pair(), on_part=lambda: told.append("two"))
+    assert told == ["one"] * PARTS + ["two"] * 2 * PARTS
 
 
 def test_what_does_not_change_a_run_is_no_difference():
