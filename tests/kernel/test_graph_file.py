@@ -900,6 +900,13 @@ def test_a_comment_does_not_count_where_all_edges_hold_both_ways(tmp_path, text)
     assert [(edge.src, edge.dst) for edge in read(tmp_path / "g.txt").edges] == [(0, 1)]
 
 
+@pytest.mark.parametrize("line", ["0 1", "1 0", "2 2"])
+def test_a_repeated_edge_and_one_to_its_own_node_need_no_reverse_edge(tmp_path, line):
+    (tmp_path / "g.txt").write_text(f"0 1\n1 0\n{line}\n")
+    edges = read(tmp_path / "g.txt").edges
+    assert [(edge.src, edge.dst) for edge in edges] == [(0, 1), *([(2, 2)] if line == "2 2" else [])]
+
+
 def test_comments_may_precede_a_graph_of_pajek_and_empty_rows_follow_a_list(tmp_path):
     (tmp_path / "g.net").write_text('% one\n% two\n\n*Network x\n*vertices 2\n1 "a b"\n2 "c"\n*edges\n1 2\n')
     assert read(tmp_path / "g.net").names == ("a b", "c")

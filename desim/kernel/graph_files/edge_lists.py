@@ -343,7 +343,8 @@ def listed_graph(
         else:
             graph.add_edge(src, dst, **attributes)
         listed[src, dst] = attributes
-    if directed is None and (reverse_count or comment) and reverse_count < len(edges) / 2:
+    ways = sum(src != dst for src, dst in listed)  # a repeated edge, or one to its own node, has no reverse edge
+    if directed is None and (reverse_count or comment) and reverse_count < ways / 2:
         sign = (
             f"the comment {comment[:40]!r}"
             if comment
