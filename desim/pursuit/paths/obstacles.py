@@ -220,10 +220,6 @@ class Obstacles:
                 order = passed[along[k, passed].argsort(kind="stable")].tolist()
                 end = None if corners is None else int(corners[k])
                 clear[k] = self._passes(source, complex(targets[k]), order, end)
-        if corners is not None and (neighbours := self._neighbours_of(corner_x, corner_y)):
-            for k in clear.nonzero()[0].tolist():  # along a piece to its other end: one of its sides may be blocked
-                if int(corners[k]) in neighbours and not touched[k].any():
-                    clear[k] = self._passes(source, complex(targets[k]), [], int(corners[k]))
         return clear
 
     def _comes_from_inside(self, end: Points, sides_of_end: np.ndarray, sides_of_other: np.ndarray) -> Bools:
@@ -243,11 +239,6 @@ class Obstacles:
         x, y = places.real[:, None] - self._x, places.imag[:, None] - self._y
         along = x * self._along_x + y * self._along_y
         return np.asarray((along > self._touch) & (along < self._size - self._touch))
-
-    def _neighbours_of(self, x: Floats, y: Floats) -> set[int]:
-        """Return the other ends of the pieces that begin at a place; (x, y) are the offsets of all corners from it."""
-        corners = ((abs(x) <= self._touch) & (abs(y) <= self._touch)).nonzero()[0]
-        return {ray.end for ray in self._plan.corners[int(corners[0])].rays} if len(corners) else set()
 
     def _passes(self, source: complex, target: complex, passed: list[int], end: int | None) -> bool:
         """Return whether a line that touches corners, and crosses no wall elsewhere, is free.
