@@ -77,14 +77,14 @@ class Obstacles:
         self._bend_corners = np.array(bends, dtype=np.intp)
         self.bends: Points = self._places[self._bend_corners]
         blocked = [self._plan.corners[k].bend or () for k in bends]
-        self._first, self._second = (
+        self._sector_begin, self._sector_end = (
             np.array([self._direction(k, rays[side].end) for k, rays in zip(bends, blocked, strict=True)], complex)
             for side in (0, 1)
         )
-        """(C,) directions of length 1 that bound the sector of each corner that is not free, counter-clockwise."""
+        """(C,) directions of length 1 where the blocked sector of each corner begins and ends, counter-clockwise."""
         outward = [self._plan.corners[k].outward() or 0.0 for k in bends]
         self.turns: Points = self.bends + self.clearance * np.array([complex(cos(a), sin(a)) for a in outward])
-        """(C,) the place beside each corner at which a player turns that goes around it, m."""
+        """(C,) the place beside each corner, m, at which a player turns to go around the corner."""
         self._sides_of_bends = self._sides(self.bends)
 
     def _direction(self, begin: int, end: int) -> complex:
@@ -113,13 +113,13 @@ class Obstacles:
         """
         x, y = source.real - self.bends.real, source.imag - self.bends.imag  # from the corner to the source
         # Both are positive in the blocked sector, and negative in the sector opposite to it.
-        after = self._first.real * y - self._first.imag * x
-        before = x * self._second.imag - y * self._second.real
+        after = self._sector_begin.real * y - self._sector_begin.imag * x
+        before = x * self._sector_end.imag - y * self._sector_end.real
         touch = self._touch
-        # From the opposite sector, no taut path bends at the corner.
-        is_in_front = (after <= touch) | (before <= touch)
+        is_outside = (after <= touch) | (before <= touch)
+        # A path from the opposite sector that bends here turns away from the wall, so a shorter one does not touch it.
         is_taut = (after >= -touch) | (before >= -touch)
-        bends = (is_in_front & is_taut).nonzero()[0]
+        bends = (is_outside & is_taut).nonzero()[0]
         if not len(bends):
             return bends, np.zeros(0)
         clear = self._clear(source, self.bends[bends], self._sides_of_bends[bends], self._bend_corners[bends])
@@ -140,13 +140,14 @@ class Obstacles:
             along = complex(self._along_x[wall], self._along_y[wall])
             across = along * 1j
             offset = place - complex(self._x[wall], self._y[wall])
-            distance, rate = _dot(offset, across), _dot(way, across)
+            distance, change = _dot(offset, across), _dot(way, across)
             on_wall, is_left = abs(distance) < self.clearance, distance >= 0.0
-            if on_wall and self._solid[int(is_left), wall]:
+            if on_wall and self._solid[int(is_left), wall]:  # on the line of an edge, it goes around outside
                 is_left = not is_left
             if not is_left:
-                across, distance, rate = -across, -distance, -rate
-            way += across * (2.0 * self.clearance - distance - rate)  # it ends at twice the clearance from the wall
+                across, distance, change = -across, -distance, -change
+            # It ends at twice the clearance from the wall: at once the clearance, rounding could put it too close.
+            way += across * (2.0 * self.clearance - distance - change)
         return 0j if self._wall_ahead(place, way) is not None else way
 
     def free_place(self, place: complex) -> complex:
@@ -162,21 +163,21 @@ class Obstacles:
         return complex(candidates[lengths(candidates - place).argmin()]) if len(candidates) else place
 
     def _wall_ahead(self, place: complex, way: complex) -> int | None:
-        """Return the first piece of a wall that a way from a place comes closer to than the clearance, or None."""
+        """Return the first piece of a wall to which a way from a place does not keep the clearance, or None."""
         x, y = place.real - self._x, place.imag - self._y
         distance = self._along_x * y - self._along_y * x
-        rate = self._along_x * way.imag - self._along_y * way.real
-        rate = np.where(distance < 0.0, -rate, rate)
+        change = self._along_x * way.imag - self._along_y * way.real
+        change = np.where(distance < 0.0, -change, change)
         gap = np.maximum(abs(distance) - self.clearance, 0.0)
-        meets = gap + rate < -self._touch
-        along, pace = self._along_x * x + self._along_y * y, self._along_x * way.real + self._along_y * way.imag
-        # A player on the line of a wall meets the end of the wall head-on: there it would be on both sides of the wall.
+        meets = gap + change < -self._touch
+        along, advance = self._along_x * x + self._along_y * y, self._along_x * way.real + self._along_y * way.imag
+        # A player that moves on the line of a wall approaches neither of its sides, but must not enter it by its end.
         low, high = -self.clearance, self._size + self.clearance
         ahead = np.where(along < low, low - along, np.where(along > high, along - high, -inf))
-        head_on = (gap == 0.0) & (abs(rate) < self.clearance) & (ahead >= 0.0) & (pace * (low - along) > 0.0)
-        share = np.where(meets, gap / np.where(meets, -rate, 1.0), 2.0)  # of the way; 2: it does not meet the piece
-        share = np.where(head_on, ahead / np.maximum(abs(pace), SMALLEST), share)
-        met_at = along + share * pace  # m from the begin of the piece
+        head_on = (gap == 0.0) & (abs(change) < self.clearance) & (ahead >= 0.0) & (advance * (low - along) > 0.0)
+        share = np.where(meets, gap / np.where(meets, -change, 1.0), 2.0)  # of the way; 2: it does not meet the piece
+        share = np.where(head_on, ahead / np.maximum(abs(advance), SMALLEST), share)
+        met_at = along + share * advance  # m from the begin of the piece
         share[~head_on & ((met_at < low) | (met_at > high))] = 2.0
         first = int(share.argmin())
         return first if share[first] <= 1.0 else None
@@ -198,15 +199,15 @@ class Obstacles:
         x, y = targets.real - source.real, targets.imag - source.imag
         corner_x, corner_y = self._places.real - source.real, self._places.imag - source.imag
         length = np.hypot(x, y)
-        across = x[:, None] * corner_y - y[:, None] * corner_x  # m times the length
-        turns = _signs(across, self._touch * length[:, None])
+        across = x[:, None] * corner_y - y[:, None] * corner_x  # distance from the line, times its length
+        corner_sides = _signs(across, self._touch * length[:, None])  # (k, V) the sides of each line, as in `_sides`
         source_sides = self._sides(np.array([source]))[0]
         # A piece is crossed if its line parts the source and the target, and their line parts the ends of the piece.
-        crossed = (source_sides * sides < 0) & (turns[:, self._begin] * turns[:, self._end] < 0)
+        crossed = (source_sides * sides < 0) & (corner_sides[:, self._begin] * corner_sides[:, self._end] < 0)
         clear: Bools = ~crossed.any(axis=1)
         if not source_sides.all():
             clear &= ~self._comes_from_inside(np.array([source]), source_sides, sides)
-        touched = (turns == 0) & (length > self._touch)[:, None]
+        touched = (corner_sides == 0) & (length > self._touch)[:, None]
         if corners is not None:
             touched[np.arange(len(corners)), corners] = False
         elif not sides.all():
@@ -223,7 +224,7 @@ class Obstacles:
         return clear
 
     def _comes_from_inside(self, end: Points, sides_of_end: np.ndarray, sides_of_other: np.ndarray) -> Bools:
-        """Return which lines with an end on the side of a solid wall come to it through the wall, (k,).
+        """Return which lines have an end on an outline, and come to it through the inside of the wall, (k,).
 
         Args:
             end: the place of this end, (1,) or (k,) m.
@@ -257,6 +258,7 @@ class Obstacles:
             along: frozenset[Side] | None = None
             if previous is not None:
                 along = self._plan.sides_of_piece(previous, corner)
+            # Along a piece, the line stays on one side of the walls; where it leaves them, it may go to the other side.
             sides = BOTH if along is None else sides & along
             if abs(place - source) <= self._touch:
                 sides &= corners[corner].sides_along(direction)
