@@ -1,7 +1,7 @@
 """Graphs as text: edge lists and adjacency lists, as networkx graphs whose nodes are texts.
 
-Edge lists and adjacency lists do not say whether edges are one-way. A line of an edge list is an edge: its ends, and
-possibly attributes, named in a header or as Python writes a dict. A line with one name is a node without edges.
+Few lists say whether edges are one-way, in a column Type or a comment. A line of an edge list is an edge: its ends,
+and possibly attributes, named in a header or as Python writes a dict. A line with one name is a node without edges.
 
     source,target,latency,loss
     uav1,uav2,0.05,0.1
@@ -44,11 +44,11 @@ ENDS = (
     *(("id1", "id2"), ("id_1", "id_2"), ("fromnodeid", "tonodeid")),
 )
 """The names of the columns of both ends, in lower case."""
-WAYS = (
+END_WORDS = (
     *(("source", "target"), ("source", "destination"), ("source", "dest"), ("src", "dst"), ("src", "dest")),
     *(("from", "to"), ("sender", "receiver"), ("sending", "receiving"), ("origin", "destination"), ("tx", "rx")),
 )
-"""Words by which the names of both columns may differ, as in `source_id`, `Device From` or `ip.src`."""
+"""Pairs of words: one column has the first in its name, and the other the second, as `source_id` and `target_id`."""
 OF_NODES = frozenset({"id", "node", "name", "label", "node_id", "nodeid", "vertex"})
 """Names of the first column of a table of nodes, in lower case."""
 OVER_TIME = frozenset({*COLUMNS["t"]} - {"t"})
@@ -83,6 +83,7 @@ def read_edge_list(file: Path, text: str, directed: bool | None) -> "nx.Graph[An
         types |= {text.lower() for name, text in texts.items() if name.lower() == "type"}
         named = {name: attribute_of(name, text, place) for name, text in texts.items() if name.lower() != "type"}
         edges.append((cells[src], cells[dst], named | attributes))
+    # SNAP and KONECT say in the first lines that edges are one-way.
     comment = next((line for line in text.split("\n", 9)[:9] if ONE_WAY.match(line.strip())), "")
     return listed_graph(file, nodes, edges, _directed_by(file, types, directed), comment.strip())
 
@@ -102,8 +103,8 @@ def _table_of(file: Path, text: str) -> tuple[list[str], list[EdgeRow]]:
         place = f"{file}, line {rows[0].line}"
         raise ValueError(f"{place}: {rows[0].cells[0][:40]!r} is no edge, and none follows: write both ends of each")
     if delimiter in {";", "\t"}:  # then numbers may have decimal commas
-        points = with_points(((row.line, row.cells) for row in rows), list, str(file))
-        rows = [row._replace(cells=cells) for row, (_, cells) in zip(rows, points, strict=True)]
+        with_decimal_points = with_points(((row.line, row.cells) for row in rows), list, str(file))
+        rows = [row._replace(cells=cells) for row, (_, cells) in zip(rows, with_decimal_points, strict=True)]
     if not _ends_in(header):
         _check_names(file, rows)
         long_names = {name.strip() for row in rows for name in row.cells[:2] if len(name.split()) > 1}
@@ -202,6 +203,7 @@ def _dict_attributes(text: str, place: str) -> dict[str, Any]:
         raise ValueError(f"{place}: the attributes should be like {{'latency': 0.1}} (got {text[:40]})")
     entries = [(pair[2], pair[4], pair[5]) for pair in pairs if pair is not None]
     check_once((name for name, *_ in entries), f"{place}:")
+    # No name: unlike in a cell, a loss may be a word, the kind of a model.
     return {name: attribute_of("", word, place) if quoted is None else quoted for name, quoted, word in entries}
 
 
@@ -209,7 +211,7 @@ def _ends_in(names: Sequence[str]) -> tuple[int, int] | None:
     """Return the columns of both ends, given the names of all columns; None if no names are of ends."""
     lower = [name.lower() for name in names]
     words = [[word.lower() for word in WORD.findall(name)] for name in names]
-    for a, b in WAYS:
+    for a, b in END_WORDS:
         for src, src_words in enumerate(words):
             if src_words.count(a) == 1 and (dst_words := [b if word == a else word for word in src_words]) in words:
                 return src, words.index(dst_words)
@@ -229,7 +231,7 @@ def _header_of(file: Path, rows: list[EdgeRow]) -> tuple[list[str], list[EdgeRow
     first, below = rows[0].cells, rows[1:]
     nodes = {cell for row in below for cell in row.cells[:2]}
     has_numbers = bool(nodes) and all(map(str.isdecimal, nodes))
-    is_header = has_numbers and not any(cell.isdecimal() for cell in first[:2])
+    is_above_numbers = has_numbers and not any(cell.isdecimal() for cell in first[:2])
     if not _ends_in(first):
         name = first[0].lower()
         subject = "of nodes" if name in OF_NODES else "over time" if name in OVER_TIME else ""
@@ -238,12 +240,12 @@ def _header_of(file: Path, rows: list[EdgeRow]) -> tuple[list[str], list[EdgeRow
                 f"{file}, line {rows[0].line}: {', '.join(first)[:60]} are the columns of a table {subject}; those of"
                 " edges are source and target"
             )
-        return (first, below) if is_header else ([], rows)
+        return (first, below) if is_above_numbers else ([], rows)
     if len(first) > 2 and (repeated := next((row.line for row in below if row.cells == first), 0)):
         raise ValueError(f"{file}, line {repeated}: repeats the names of the columns: it should be left out")
     if any(map(is_number_text, first)) or (not has_numbers and not nodes.isdisjoint(first[:2])):
         return [], rows
-    is_plain = (first[0].lower(), first[1].lower()) in {*ENDS, *WAYS}
+    is_plain = (first[0].lower(), first[1].lower()) in {*ENDS, *END_WORDS}
     # Nodes may be called tx1 and rx1, too.
     if not has_numbers and not is_plain and (not below or any(_ends_in(row.cells[:2]) for row in below)):
         return [], rows
@@ -258,14 +260,17 @@ def _header_of(file: Path, rows: list[EdgeRow]) -> tuple[list[str], list[EdgeRow
 
 
 MAX_DISTINCT = 0.9
-"""Largest ratio of different names to ends with which lines are probably edges; in a tree, it is about 1/2.
+"""Largest ratio of the different names to all names in lines that are probably edges; in a tree, it is about 1/2.
 
 In disjoint pairs all names differ, so a list of such pairs with names of several words needs a header, or quotes.
 """
 
 
 def _check_names(file: Path, rows: Sequence[EdgeRow]) -> None:
-    """Raise ValueError if an end is a key with a colon (YAML), nan, inf, or a number that is negative or no integer."""
+    """Raise ValueError if an end is a key with a colon, nan, inf, or a number that is negative or no integer.
+
+    Such lines are probably YAML, or a table of measurements.
+    """
     for line, cells, _ in rows:
         for name in cells[:2] if len(cells) > 1 else ():
             if name.endswith(":") or (is_number_text(name) and not _is_count(number_of(name))):
@@ -280,8 +285,8 @@ def _is_count(number: float) -> bool:
 def _check_form(file: Path, rows: Sequence[EdgeRow]) -> None:
     """Raise ValueError if rows without a header are probably no edges, but some text with spaces.
 
-    The signs are a title, names of several words in the second column only, behind different first names, and hardly a
-    name that is in two lines.
+    Each of these is a sign: a title (a line of one cell with several words); different first names of one word, and
+    second names that all have several; hardly a name that is in two lines.
     """
     edges = [row.cells for row in rows if len(row.cells) == 2]
     names = [name for cells in edges for name in cells]
@@ -328,11 +333,12 @@ def listed_graph(
         comment: a comment of the file which says that edges are one-way; it counts if some have no reverse edge.
 
     Raises:
-        ValueError: if it is not known whether edges are one-way, and some have no reverse edge, although others have
-            one, or a comment says that edges are one-way.
+        ValueError: if `directed` is None, some edges have no reverse edge, and either others have one or there is a
+            comment.
     """
     import networkx as nx
 
+    # Parallel edges are kept, to be refused if they differ.
     graph: nx.Graph[Any] = nx.MultiDiGraph() if directed else nx.MultiGraph()
     graph.add_nodes_from(nodes)
     listed: dict[tuple[str, str], dict[str, Any]] = {}
