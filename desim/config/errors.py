@@ -31,9 +31,9 @@ class Problem(NamedTuple):
 
 WordingOf = Callable[[Any, type, Mapping[str, Any]], tuple[Problem, ...]]
 WORDINGS: dict[str, WordingOf] = {}
-"""By what is constructed, the function that returns the problems, given an error of pydantic, the class and the values.
+"""Under "call", the function that returns the problems, given an error of pydantic, the class and the values of a call.
 
-`desim` hands it in: the module that words errors lists the kinds of models, so the base of models cannot import it."""
+`desim` inserts it: the base of models calls it, and cannot import its module, which imports the base."""
 
 
 class KeyedError(ValueError):
@@ -59,9 +59,9 @@ class KeyedError(ValueError):
 
 
 def cause_in(error: Any) -> Exception | None:
-    """Return the first part of an error of pydantic that another exception caused; None if there is none.
+    """Return the first exception in an error of pydantic that has a cause of its own; None if there is none.
 
-    An error about a value is raised from it, so that Python shows what failed, such as the import of a user's module.
+    `raise ... from` it makes Python show the original failure, such as that of the import of a user's module.
     """
     parts = (part.get("ctx", {}).get("error") for part in error.errors(include_url=False, include_input=False))
     return next((part for part in parts if isinstance(part, Exception) and part.__cause__ is not None), None)
@@ -73,7 +73,10 @@ def problems_of(error: ValueError) -> tuple[Problem, ...]:
 
 
 class ArgumentError(ValueError):
-    """A wrong argument of a function: its name, and what is wrong, with the names of other arguments in backticks."""
+    """A wrong argument of a function: its name, and what is wrong, with the names of other arguments in backticks.
+
+    As a text, the reason continues the name: "rate should be positive", or "style: ..." if it begins with a colon.
+    """
 
     def __init__(self, name: str, reason: str):
         super().__init__(name, reason)

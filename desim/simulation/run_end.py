@@ -29,5 +29,8 @@ class RunEnd:
             self.over.succeed()
 
     def stop(self) -> None:
-        """End the run after all other events of this instant."""
+        """End the run after the positions of this instant are recorded.
+
+        The call may come at one of several events of the instant, and the others belong to the trace, too.
+        """
         Instant(self._env, self._env.now, Phase.SAMPLE + 1).callbacks.append(lambda _: self.finish("stopped"))

@@ -13,11 +13,11 @@ if TYPE_CHECKING:
     import networkx as nx
 
 Overrides = dict[int, dict[int, Any]]
-"""The models, or the orders, of individual links, by sender and receiver."""
+"""The latency, the loss or the order (overtaking or fifo) of individual links, by sender and receiver."""
 
 
 def link_overrides(links: Links, graph: "nx.Graph[int]") -> dict[str, Overrides]:
-    """Return the models and the orders of individual links, by "latency", "loss" and "order".
+    """Return the values of individual links, by "latency", "loss" and "order".
 
     Each is an attribute of an edge of the graph, or a value in `links.link`, which takes precedence.
 
@@ -40,13 +40,13 @@ def overrides_of_run(overrides: Overrides, size: int) -> Overrides:
 
 
 Way = tuple[int, int]
-"""A link: sender and receiver."""
+"""One direction of a link: sender and receiver."""
 
 
 def link_misfits(links: Links, graph: "nx.Graph[int]") -> Iterator[tuple[Place, str]]:
-    """Yield the key, below `network`, and the text of each model that does not apply to a link that would use it.
+    """Yield the key, below `network`, of each model that does not apply to a link that would use it, and the reason.
 
-    A link that `links.link` lists twice is yielded, too, because its models would depend on the order.
+    An entry of `links.link` is yielded, too, if an earlier entry has one of its links: the last one would silently win.
 
     Args:
         links: the link models; their links are in the graph.
@@ -58,6 +58,7 @@ def link_misfits(links: Links, graph: "nx.Graph[int]") -> Iterator[tuple[Place, 
             yield ("link", k), f"the link from {src} to {dst} is also in link.{first_by_way[src, dst]}"
     yield from _name_misfits(links)
     for name in ("latency", "loss", "duplicate"):
+        # Duplicates have one model for all links.
         link_models = {} if name == "duplicate" else dict(_own_models(links, graph, name))
         uses: list[tuple[Place, Any, Iterator[Way]]] = [
             (place, model, iter([way])) for way, (place, model) in link_models.items()
@@ -77,18 +78,18 @@ def link_misfits(links: Links, graph: "nx.Graph[int]") -> Iterator[tuple[Place, 
 
 
 def _name_misfits(links: Links) -> Iterator[tuple[Place, str]]:
-    """Yield the key and the text of each table of measurements that cannot number the nodes as the network does."""
+    """Yield the key of each table of measurements that cannot number the nodes as the network does, and the reason."""
     names = links.node_names
     for place, table in links.measured_tables():
         order = table.node_order
         if not names or order == names:
             continue
         try:
-            is_numbered = table.numbered(names) is table
+            is_unchanged = table.numbered(names) is table
         except ValueError as error:
             yield place, f"{error}: the nodes are {shortened(names)}"
             continue
-        if order and is_numbered:  # the table keeps another order, which its `nodes` state
+        if order and is_unchanged:  # although the orders differ: `nodes` of the table fixes its own
             text = f"numbers the nodes {shortened(order)}, and the network {shortened(names)}"
             yield place, f"{table.name} {text}: nodes should be in the order of the network, or absent"
 
