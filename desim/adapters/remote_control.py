@@ -9,7 +9,7 @@ An observation becomes a dict:
 
 - `observation`: the newest observation that the operator has received;
 - `age`: (1,) the time since it was made, s;
-- `command_age`: (1,) the age of the command by which the robot acted just before, s, or -1 if it had none yet.
+- `command_age`: (1,) the age, s, of the command that the robot executed right before this observation; -1 if none.
 
 The first observation of an episode is known to the operator. Reward and end of an episode are those of the environment,
 without delay, because they judge the operator and are not sent to it.
@@ -56,7 +56,7 @@ class RemoteControl(gymnasium.Wrapper[dict[str, Any], Any, Any, Any], RecordCons
     ):
         RecordConstructorArgs.__init__(self, links=links, idle=idle, size=size, **options)  # for `env.spec`
         gymnasium.Wrapper.__init__(self, env)
-        self._link = EnvNetwork(env, (ROBOT, OPERATOR), links, **options)
+        self._env_network = EnvNetwork(env, (ROBOT, OPERATOR), links, **options)
         self._size, self._idle = size, blank(env.action_space) if idle is None else idle
         if self._idle not in env.action_space:
             raise ValueError(f"idle should be an action in {env.action_space} (got {value_text(idle)})")
@@ -66,27 +66,27 @@ class RemoteControl(gymnasium.Wrapper[dict[str, Any], Any, Any, Any], RecordCons
     @property
     def network(self) -> SteppedNetwork:
         """The network of this episode."""
-        return self._link.network
+        return self._env_network.network
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, Any]:
         """Begin an episode; see `gymnasium.Env.reset`."""
         observation, info = self.env.reset(seed=seed, options=options)
-        self._link.reset(seed)
+        self._env_network.reset(seed)
         self._received = (deepcopy(observation), 0.0, UNHEARD)  # a world may change its observation in place
         return self._observed(), info
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Transmit a command, let the robot act, and return what the operator knows; see `gymnasium.Env.step`."""
-        network, robot, operator = self.network, self._link.node(ROBOT), self._link.node(OPERATOR)
+        network, robot, operator = self.network, self._env_network.node(ROBOT), self._env_network.node(OPERATOR)
         network.publish(operator, action, size=self._size)
         command = network.latest(robot).get(operator)
         age = UNHEARD if command is None else network.now - command.sent
         observation, *rest = self.env.step(deepcopy(self._idle) if command is None else command.body)
-        self._link.step()
+        self._env_network.step()
         network.publish(robot, (observation, network.now, age), size=self._size)
         if (received := network.latest(operator).get(robot)) is not None:
             self._received = received.body
-        return self._observed(), *rest  # type: ignore[return-value]  # the length of a list has no type
+        return self._observed(), *rest  # type: ignore[return-value]  # the type of `rest` does not say its length
 
     def close(self) -> None:
         """Close the environment and the network."""

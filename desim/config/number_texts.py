@@ -23,7 +23,7 @@ UNITS = MappingProxyType(
         "%": ("1", 100.0),
     }
 )
-"""By unit in a text: the unit in which desim takes the number, and how many units of the text make one of these."""
+"""By unit in a text: the unit in which desim takes the number, and the factor between both, as in 1 s = 1e3 ms."""
 
 
 def exact_text(number: float, digits: int) -> str:
@@ -55,15 +55,18 @@ def number_instead_of(text: str, units: Collection[str] = ("s", "1")) -> str | N
         return f"should be a number: {number} instead of the text {text!r}"
     if unit not in UNITS or UNITS[unit][0] not in units:
         return f"should be a number without a unit (got {text!r})"
-    written_unit, count = UNITS[unit]
-    what = "a number from 0 to 1" if written_unit == "1" else f"a number, in {written_unit}"
-    return f"should be {what}: {float(number) / count:.15g} instead of the text {text!r}"
+    unit_of_key, factor = UNITS[unit]
+    what = "a number from 0 to 1" if unit_of_key == "1" else f"a number, in {unit_of_key}"
+    return f"should be {what}: {float(number) / factor:.15g} instead of the text {text!r}"
 
 
 def seconds_in(text: str) -> float | None:
-    """Return the time, s, in a text that names its unit, such as "50 ms"; None for any other text."""
+    """Return the time, s, in a text that names its unit, such as "50 ms"; None for any other text.
+
+    A comma is refused, because it may separate thousands.
+    """
     match = NUMBER_AS_TEXT.fullmatch(text)
     if match is None or "," in match[1]:
         return None
-    unit, count = UNITS.get(match[2].lower(), ("", 1.0))
-    return float(match[1]) / count if unit == "s" else None
+    unit, factor = UNITS.get(match[2].lower(), ("", 1.0))
+    return float(match[1]) / factor if unit == "s" else None

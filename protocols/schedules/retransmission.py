@@ -2,9 +2,9 @@
 
 A round trip takes two latencies plus the sending times of the request, its answer and the messages that may be queued
 in front of them. The sending time of a message is the time for which it keeps its sender from sending the next one: its
-airtime, or more with a duty cycle or TDMA (`Agent.interval`). The first time-out is 5/4 of a round trip, at least
-`min_timeout`. In each later time-out the sending time counts 1.5 times as much as in the one before, because the
-channel may be busy.
+airtime, or more with a duty cycle or TDMA (`Agent.interval`). The first time-out is 5/4 of a round trip, so that an
+answer may be late by a quarter, and at least `min_timeout`. In each later time-out the sending time counts 1.5 times as
+much as in the one before, because the channel may be busy.
 """
 
 from collections.abc import Generator
@@ -31,12 +31,12 @@ class RetransmissionTimer:
     """
 
     def __init__(self, me: Agent, sending_time: float, min_timeout: float):
-        self._sending_time = 1.25 * sending_time
+        self._growing_part = 1.25 * sending_time  # the part of the first time-out that grows
         self._first = first_timeout(me.latency, sending_time, min_timeout)
 
     def __call__(self, attempt: int = 0) -> float:
         """Return the time-out, s, of a transmission after a number of attempts without an answer."""
-        return self._first + self._sending_time * (BACKOFF ** min(attempt, MAX_GROWTH) - 1.0)
+        return self._first + self._growing_part * (BACKOFF ** min(attempt, MAX_GROWTH) - 1.0)
 
 
 def arrival_or_timeout(me: Agent, port: str, until: float) -> Waiting:

@@ -1,4 +1,4 @@
-"""Lots of runs that workers claim by file, so that the fast ones do what slow ones have not begun.
+"""Runs in batches (lots) that workers claim by lock files, so that fast workers do what slow ones have not begun.
 
 The workers share a folder. The file of a lot is a lock that its worker holds while it performs the runs; when the lot
 is done, a second file marks it. The lot of a worker that died is claimed again as soon as its lock is stale; see
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 LARGEST = 50
 """The largest number of runs in a lot: these are repeated if a worker dies, and others may wait for them at the end."""
 LOTS = 100
-"""The least number of lots of a sweep with at least as many runs, so that there are enough for many workers."""
+"""A sweep of at least so many runs has at least so many lots, enough for many workers."""
 
 
 class Claims:
@@ -59,7 +59,7 @@ class Claims:
                 if number in claimed or self._done(number).exists():
                     continue
                 lock = LockFile(self.folder / f"{number}.claim")
-                if lock.try_acquire() is not None:
+                if lock.try_acquire() is not None:  # another process holds it
                     continue
                 if self._done(number).exists():  # the process that held the lock has just finished the lot
                     lock.release()
@@ -79,14 +79,14 @@ class Claims:
         """Return the numbers of the lots whose runs have ended."""
         return [number for number in range(len(self.lots)) if self._done(number).exists()]
 
-    def settle(self, done: Set[tuple[str, int]]) -> None:
-        """Reopen the lots with a run that is not done (failed, new, or in a lost store), and finish the others.
+    def settle(self, succeeded: Set[tuple[str, int]]) -> None:
+        """Reopen the lots with a run that did not succeed (failed, new, or in a lost store), and finish the others.
 
         Args:
-            done: the runs that succeeded, as pairs (hash of the configuration, replication).
+            succeeded: the runs that succeeded, as pairs (hash of the configuration, replication).
         """
         for number, lot in enumerate(self.lots):
-            if all((configuration.key, k) in done for configuration, k in lot):
+            if all((configuration.key, k) in succeeded for configuration, k in lot):
                 self.finish(number)
             else:
                 self._done(number).unlink(missing_ok=True)
@@ -97,7 +97,8 @@ class Claims:
 
 def lots_of(plan: SweepPlan) -> list[list[Job]]:
     """Return the runs of a plan in lots, which depend on nothing but the plan."""
-    jobs = [job for part in (1, 2) for job in plan.shard(part, 2)]  # unlike one shard, two ignore the grid's order
+    # A single shard is in the order of the grid, which differs between plans that are equal otherwise.
+    jobs = [job for part in (1, 2) for job in plan.shard(part, 2)]
     size = max(1, min(LARGEST, len(jobs) // LOTS))
     return [jobs[begin : begin + size] for begin in range(0, len(jobs), size)]
 
@@ -129,7 +130,7 @@ def carry_out_claimed(
         OSError: if the folder cannot be written.
     """
     claims = Claims(folder, plan)
-    done = plan.done(store, {"captured", *metrics})
+    done = plan.done(store, {"captured", *metrics})  # tables of a sweep always have the column captured
     failed: dict[tuple[str, int], Row] = {}
     on_start()
     for number, lock in claims:
