@@ -1,4 +1,4 @@
-"""Writing of files: whole or not at all, and never through a symbolic link."""
+"""Writing of files: whole or not at all, and not through a symbolic link, if the system can tell."""
 
 import os
 from collections.abc import Iterator, Mapping

@@ -270,7 +270,7 @@ class Network(ReceivingNodes):
         transport, which may retransmit it (`desim.kernel.models.transport`); None: that of the links
         (`Links.transport`). All messages at a port should have the same transport. With `only`, a message to all
         neighbours is for the nodes in `only`: it is transmitted as any broadcast, and the other nodes ignore it. A
-        transport instead sends it to each of these nodes.
+        transport that does more than hand messages to the links sends it to each of these nodes instead.
 
         Use `send` for requests, acknowledgements and tokens, where every message matters; use `publish` for state,
         where only the newest value matters. A transmission to a node that is not linked to the sender is lost, and so

@@ -47,7 +47,8 @@ class RestartableProcess(simpy.Process):
                 # The cause of the interrupt is the recovery, an event whose value is whether the robot kept its memory.
                 remembers = yield cast("simpy.Event", crash.cause)
                 if remembers:
-                    if missed is None and awaited.processed:  # else the robot crashed again before it resumed
+                    # If the robot crashed again before it resumed, `missed` stays the event that the behaviour awaits.
+                    if missed is None and awaited.processed:
                         missed = awaited
                 elif self.behaviour is not None:
                     try:
