@@ -205,7 +205,7 @@ def _in_order(value: Any) -> Any:
 
     A series, and a table of places without times, have one row for each player. If the labels of their rows are the
     numbers of the players, the rows are sorted by them. If rows and columns have the same labels, as those of a matrix
-    of distances, the rows are sorted as the columns are.
+    of distances, the columns are sorted as the rows are.
 
     Raises:
         ValueError: if a column is in another unit than that of desim.
@@ -217,6 +217,8 @@ def _in_order(value: Any) -> Any:
         order = coordinate_columns(labels)
         if order is not None:
             value = value.isel({value.dims[-1]: order})
+        elif len(value.dims) == 2 and (orders := _orders_of_matrix(_labels(value, 0), labels)) is not None:
+            return value.isel(dict(zip(value.dims, orders, strict=True)))
         rows = _by_player(_labels(value, 0)) if value.dims and (order is None or len(order) == 2) else None
         return value if rows is None else value.isel({value.dims[0]: rows})
     if hasattr(value, "struct") and getattr(value.dtype, "fields", None):  # a series of polars
@@ -228,9 +230,8 @@ def _in_order(value: Any) -> Any:
         columns = value.select(names) if hasattr(value, "select") else value[names]
         return columns if len(order) > 2 else _by_number(columns)
     rows = list(value.index) if hasattr(value, "index") and labels else []
-    is_permuted = len(set(labels)) == len(labels) == len(rows) and set(labels) == set(rows) and labels != rows
-    if is_permuted:
-        return value[rows]
+    if (orders := _orders_of_matrix(rows, labels)) is not None:
+        return value.iloc[orders]
     return value if labels else _by_number(value)
 
 
@@ -283,6 +284,18 @@ def _by_number(value: Any) -> Any:
         return value
     order = _by_player(list(value.index))
     return value if order is None else value.iloc[order]
+
+
+def _orders_of_matrix(rows: list[Any], columns: list[Any]) -> tuple[list[int], list[int]] | None:
+    """Return the orders in which the rows and the columns of a matrix have the same labels, by the numbers of players.
+
+    Return None if their labels differ, so that the table is no such matrix.
+    """
+    index = {label: k for k, label in enumerate(columns)}
+    if not rows or not len(index) == len(columns) == len(rows) or index.keys() != set(rows):
+        return None
+    order = _by_player(rows) or list(range(len(rows)))
+    return order, [index[rows[k]] for k in order]
 
 
 def _by_player(labels: list[Any]) -> list[int] | None:

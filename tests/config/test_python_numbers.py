@@ -406,6 +406,19 @@ def test_rows_that_are_labelled_with_numbers_are_those_of_the_pursuers_of_these_
         assert RecordedMotion(waypoints=rows).waypoints == ((0.0, 4.0, 6.0), (1.0, 3.0, 5.0))
 
 
+@pytest.mark.parametrize("labels", [[0, 1, 2], [1, 2, 3], ["0", "1", "2"]], ids=["from 0", "from 1", "texts"])
+def test_a_matrix_that_is_labelled_with_numbers_has_the_links_of_the_pursuers_of_these_numbers(labels):
+    """Whether its rows, its columns or both are in another order, as those of a subset or of a pivot table are."""
+    square = pd.DataFrame(np.arange(9.0).reshape(3, 3), index=labels, columns=labels)
+    expected = LatencyMatrix(values=square.to_numpy()).values
+    for rows, columns in ((labels[::-1], labels), (labels, labels[::-1]), (labels[::-1], labels[1:] + labels[:1])):
+        matrix = square.loc[rows, columns]
+        assert LatencyMatrix(values=matrix).values == expected
+        labelled = Labelled(matrix, columns)
+        labelled.coords["row"] = pd.Series(rows)
+        assert LatencyMatrix(values=labelled).values == expected
+
+
 class Labelled:
     """An array with labels along its last dimension, as that of xarray."""
 
@@ -416,9 +429,9 @@ class Labelled:
         self.coords = {"axis": pd.Series(labels)}
 
     def isel(self, order):
-        ((name, indices),) = order.items()
+        (name, indices), *more = order.items()
         if name == "row":
-            return Labelled(self._rows[indices], self._labels)
+            return Labelled(self._rows[indices], self._labels).isel(dict(more or {"axis": range(len(self._labels))}))
         other = Labelled(self._rows[:, indices], [self._labels[k] for k in indices])
         other.coords = self.coords | other.coords
         return other
