@@ -418,6 +418,21 @@ def test_the_text_of_what_a_module_imports_counts(tmp_path, monkeypatch, changed
     assert found[0] == found[1] != found[2]
 
 
+@pytest.mark.parametrize("body", ["import tuned", "from tuned import GAIN", "def inner():\n        import tuned"])
+def test_the_text_of_what_a_function_of_a_script_imports_counts(tmp_path, monkeypatch, body):
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    namespace = {"__name__": "__main__"}
+    exec(f"def rule(me):\n    import absent.part, hypothesis\n    {body}", namespace)
+    found = []
+    for text in ("GAIN = 1", "GAIN = 1", "GAIN = 2"):
+        (tmp_path / "tuned.py").write_text(text)
+        invalidate_caches()
+        found.append(stable_hash(namespace["rule"]))
+        sys.modules.pop("tuned", None)
+    assert found[0] == found[1] != found[2]
+
+
 INSTALLED = {
     "pack/__init__.py": "",
     "pack/rule.py": "def rule(me):\n    from pack.inner import helper\n",

@@ -9,8 +9,8 @@ a function, or an instance of such a class) covers
 - the content of the data files that it declares or that these modules have opened (`desim.config.data_files`).
 
 If its module belongs to an installed package, all modules of the package are hashed. If the object is defined in a
-script or a notebook, its compiled code and the globals that this code reads are hashed instead of the source, because
-the rest of the script may change.
+script or a notebook, its compiled code, the globals that this code reads and the modules that it imports are hashed
+instead of the source, because the rest of the script may change.
 
 The globals of a module and the attributes of its functions and classes count only through its source
 (`desim.study.plan.user_code`): values that a program assigns to them later do not distinguish runs.
@@ -197,6 +197,8 @@ class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
         elif kind is FunctionType:
             has_source = self._add_code(value, value.__code__)
             names = () if has_source else sorted(globals_read(value.__code__) & value.__globals__.keys())
+            if not has_source:
+                self.user.add_imported(sorted(_imported(value.__code__)))
             reads = {name: value.__globals__[name] for name in names}
             captured = value.__closure__, value.__defaults__, value.__kwdefaults__, vars(value)
             parts = [value.__qualname__, value.__code__, reads, *captured]
@@ -247,12 +249,27 @@ class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
 
 def globals_read(code: CodeType) -> set[str]:
     """Return the names of the globals that a function and the functions inside it read."""
-    names = {
-        instruction.argval
-        for instruction in get_instructions(code)
-        if instruction.opname in {"LOAD_GLOBAL", "LOAD_NAME"}
-    }
-    return names.union(*(globals_read(constant) for constant in code.co_consts if isinstance(constant, CodeType)))
+    return {name for operation, name in _operations(code) if operation in {"LOAD_GLOBAL", "LOAD_NAME"}}
+
+
+def _imported(code: CodeType) -> set[str]:
+    """Return the names of the modules that a function and the functions inside it may import."""
+    names, module = set[str](), ""
+    for operation, name in _operations(code):
+        if operation == "IMPORT_NAME":
+            module = name
+            names.add(module)
+        elif operation == "IMPORT_FROM":  # of a function, or of a module in a package
+            names.add(f"{module}.{name}")
+    return names
+
+
+def _operations(code: CodeType) -> Iterator[tuple[str, Any]]:
+    """Yield the operations of a function, and then of the functions inside it, each with its argument."""
+    yield from ((instruction.opname, instruction.argval) for instruction in get_instructions(code))
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield from _operations(constant)
 
 
 def _is_generated(name: str, attribute: Any) -> bool:

@@ -65,13 +65,17 @@ class UserCode:
         if file.suffix == ".py":
             # To import a module is to run its parent package, too.
             names = sorted(_imported(source, name if file.stem == "__init__" else parent) | ({parent} - {""}))
-            for module in names if folder is None else [module_beside(imported, folder) for imported in names]:
-                package = package_of(module)
-                if (package_file := _file(package)) is None or not is_installed(package_file):
-                    self.add(module)
-                elif package not in HASHED_BY_NAME:
-                    self.code |= _versions(_distributions().get(package, ()))
+            self.add_imported(names if folder is None else [module_beside(module, folder) for module in names])
         return True
+
+    def add_imported(self, names: Iterable[str]) -> None:
+        """Add modules that code may import: of an installed package only its version, as the import may not run."""
+        for module in names:
+            package = package_of(module)
+            if (package_file := _file(package)) is None or not is_installed(package_file):
+                self.add(module)
+            elif package not in HASHED_BY_NAME:
+                self.code |= _versions(_distributions().get(package, ()))
 
 
 @cache
