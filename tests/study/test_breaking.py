@@ -211,9 +211,16 @@ MIXED = {"fates": ("lost", "late", "twice"), "delay": 0.3}
 
 
 @pytest.mark.slow_but_one
-@pytest.mark.parametrize("choices", [{}, {"delay": 0.25}])
-def test_no_choice_of_lost_messages_is_left_out(choices):
-    _compare_with_all("best_response", most=1, **choices)
+@pytest.mark.parametrize(
+    ("protocol", "horizon", "choices"),
+    [(TOKEN, 0.5, MIXED), ("best_response", 1.0, {}), ("best_response", 1.0, {"delay": 0.25})],
+    ids=["mixed", "lost", "late"],
+)
+def test_no_choice_of_one_message_is_left_out(protocol, horizon, choices):
+    """The quickest case has all kinds of fates, some that matter, some that do not, and some that are symmetric."""
+    table = _compare_with_all(protocol, 1, horizon, **choices)
+    assert table.skipped > 0
+    assert (table.symmetric > 0, len(table.fatal) > 0) == (choices == MIXED,) * 2
 
 
 @pytest.mark.whole
@@ -236,8 +243,8 @@ def test_no_choice_of_several_messages_is_left_out(protocol, most, choices):
     assert (table.symmetric > 0) == (choices == MIXED)
 
 
-def _compare_with_all(protocol, most, **choices):
-    scenario = SMALL.with_({"protocol": protocol, "horizon": 1.0})
+def _compare_with_all(protocol, most, horizon=1.0, **choices):
+    scenario = SMALL.with_({"protocol": protocol, "horizon": horizon})
     prop = "crowded at most 0.4 in total"
     told: list[None] = []
     table = fatal_losses(scenario, prop, seeds=[1], most=most, jobs=1, on_run=lambda: told.append(None), **choices)
