@@ -67,6 +67,17 @@ def test_scores_of_all_actions_and_scores_of_each_chase_agree():
     assert lines(small(each, evader=evaders)) == lines(small(together, evader=evaders))
 
 
+def test_the_block_of_the_only_pursuer_is_its_own():
+    """It chases if it is inactive, and the other way round."""
+    turns = (Layer(weights=((-2.0,),), bias=(1.0,)),)
+    own, named = (
+        lines(small(Policy(features=(f"{block}.action",), layers=turns), **{"team.count": 1}))
+        for block in ("own", "pursuer_0")
+    )
+    assert own == named
+    assert sum('"Decided"' in line for line in named) > 5
+
+
 def test_a_file_of_weights_is_the_rule(tmp_path):
     policy = Policy(features=FEATURES, layers=(Layer(weights=((-2.0, 1.0, -0.5, 0.1, -2.0),), bias=(-0.1,)),))
     policy.write(tmp_path / "weights.json")

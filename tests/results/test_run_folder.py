@@ -406,7 +406,7 @@ MISFITS = {
     "start": (twice("Started"), "is a second Started"),
     "end": (twice("MessageCounts"), "is a second MessageCounts"),
     "broken": (
-        with_field("FaultStarted", fault={"kind": "crash", "start": 0.0, "node": 99}),
+        with_field("FaultStarted", fault={"kind": "crash", "start": 0.0, "node": 2}),
         "names a node that is not one of",
     ),
     "repaired": (
