@@ -50,7 +50,7 @@ def summary(result: Result, metrics: Metrics = MappingProxyType({})) -> Summary:
 def measured(added: UsersMetrics, result: Result) -> Summary:
     """Return the built-in metrics of a run and those of a user; see `summary`."""
     with (
-        fresh_copy(result.scenario, alone=True) as scenario,  # metrics call models, which may have state
+        fresh_copy(result.scenario, with_collections=True) as scenario,  # metrics call models, which may have state
         fresh_copy(added, is_run=True) as fresh_metrics,  # a user's metric may have state, too
     ):
         index = trace_index(replace(result, scenario=scenario))

@@ -1,6 +1,7 @@
-"""Copies of objects with state, and descriptions that tell whether an object has changed; pickle makes both.
+"""Copies of objects with state for each run, and descriptions that tell whether a run has changed an object.
 
-A copy shares with the original what has no state, code, and the collections that the caller may read after a run.
+Pickle makes both. Code, objects without state, and collections that the caller may read after a run are not copied: the
+copy and the original share them. See `desim.config.fresh`.
 """
 
 import pickle
@@ -18,7 +19,7 @@ from weakref import WeakKeyDictionary, WeakValueDictionary
 import numpy as np
 
 from desim.config.code_variables import CACHED, is_foreign
-from desim.config.stateless import CONSTANTS, is_collection, is_stateless, never_changes, users_objects
+from desim.config.stateless import CONSTANTS, is_collection, is_stateless, is_stateless_module, users_objects
 from desim.config.traits import module_of
 
 FUNCTION_STATE = ("__kwdefaults__", "__module__", "__qualname__", "__doc__")
@@ -37,23 +38,23 @@ class Copier(pickle.Pickler):
 
     Args:
         content: the stream for the pickle.
-        alone: whether nobody reads collections after the run, so that they are copied, too.
+        with_collections: whether collections are copied, too, because nobody reads them after the run.
 
     Attributes:
         shared: the shared objects; the pickle has their indices.
         functions: the functions in the model.
     """
 
-    def __init__(self, content: BytesIO, *, alone: bool = False):
+    def __init__(self, content: BytesIO, *, with_collections: bool = False):
         super().__init__(content, 5)
-        self._alone = alone
+        self._with_collections = with_collections
         self.shared: list[Any] = []
         self.functions: list[FunctionType] = []
 
     def persistent_id(self, value: Any) -> int | None:
         """Return the index of an object that the copy shares; None for an object that is copied."""
         kind = type(value)
-        if kind in CONSTANTS:
+        if kind in CONSTANTS:  # the pickle holds the value, so that a description tells values apart
             return None
         if kind is FunctionType:
             self.functions.append(value)
@@ -62,10 +63,10 @@ class Copier(pickle.Pickler):
         elif kind is np.ndarray:
             if value.flags.writeable:
                 return None
-        elif never_changes(module_of(kind)):  # a built-in model, for example, which may hold objects of users
-            if not all(is_stateless(item, alone=self._alone) for _, item in users_objects(value)):
+        elif is_stateless_module(module_of(kind)):  # a built-in model, for example, if it holds no state of users
+            if not all(is_stateless(item, with_collections=self._with_collections) for _, item in users_objects(value)):
                 return None
-        elif not is_stateless(value, alone=self._alone):
+        elif not is_stateless(value, with_collections=self._with_collections):
             return None
         self.shared.append(value)
         return len(self.shared) - 1
@@ -99,22 +100,23 @@ class Copier(pickle.Pickler):
         return NotImplemented
 
     def _variable(self, variable: Any) -> Any:
-        """Return a default or a variable of a function, wrapped if the copy shares it: the caller may read it."""
-        return _Shared(variable) if is_collection(variable) and not self._alone else variable
+        """Return a default or a variable of a function, wrapped if it is a collection that the caller may read."""
+        return _Shared(variable) if is_collection(variable) and not self._with_collections else variable
 
 
 class Describer(Copier):
     """Pickles what a value consists of, also if it cannot be copied, to tell whether it has changed.
 
-    An iterator whose state cannot be read counts as changed when it is described again: whoever uses it advances it.
+    An iterator whose state cannot be read has one description before the first run, and another one afterwards, because
+    the run may have advanced it.
     """
 
     def persistent_id(self, value: Any) -> int | None:
-        """Return an index also for a function of Python, which never changes; None for shared objects that change."""
+        """Return an index also for a function of a library, which never changes; None if a shared object may change."""
         if isinstance(value, SHARED_TYPES):
             return None
-        is_of_python = isinstance(value, FunctionType) and is_foreign(value)
-        return super().persistent_id(_Shared(value) if is_of_python else value)
+        is_of_library = isinstance(value, FunctionType) and is_foreign(value)
+        return super().persistent_id(_Shared(value) if is_of_library else value)
 
     def reducer_override(self, value: Any) -> Any:
         """Return what describes an object."""
@@ -137,15 +139,16 @@ class Describer(Copier):
                 value.__reduce_ex__(5)  # raises if the object cannot be copied
         except Exception:  # code of an object may raise anything
             is_first = isinstance(value, Iterator) and id(value) not in _described
-            _described.add(id(value))
+            if is_first:
+                _described[id(value)] = value
             return list, ([id(value), is_first],)
         return reduced
 
 
 SHARED_TYPES = (threading.local, ContextVar, queue.Queue, queue.SimpleQueue)
 """The types of objects that copies share, although what they hold changes."""
-_described: set[int] = set()
-"""The `id` of each iterator that was described."""
+_described: dict[int, Any] = {}
+"""The iterators that were described, by `id`; they are kept, so that no other object gets the `id` of one of them."""
 
 
 class CopyReader(pickle.Unpickler):
@@ -168,7 +171,7 @@ def passes_on_attributes(kind: Any) -> bool:
     """
     if not hasattr(kind, "__getattr__") or hasattr(kind, "__setstate__") or issubclass(kind, type):
         return False
-    return not never_changes(module_of(kind))
+    return not is_stateless_module(module_of(kind))
 
 
 def with_state_setter(reduced: Any) -> Any:

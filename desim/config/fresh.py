@@ -28,7 +28,7 @@ class StateError(ValueError):
 
 
 @contextmanager
-def fresh_copy(model: Model, *, alone: bool = False, is_run: bool = False) -> Iterator[Model]:
+def fresh_copy(model: Model, *, with_collections: bool = False, is_run: bool = False) -> Iterator[Model]:
     """Yield a copy of a model in which the objects that may have state are copies; the model itself if it has none.
 
     An object to which the model refers twice is copied once. A collection in a variable of an enclosing function, such
@@ -39,7 +39,7 @@ def fresh_copy(model: Model, *, alone: bool = False, is_run: bool = False) -> It
 
     Args:
         model: the model.
-        alone: whether nobody reads collections after the run, so that they are copied, too, if they can be.
+        with_collections: whether collections are copied, too, if they can be, because nobody reads them after the run.
         is_run: whether the block is a run.
 
     Raises:
@@ -50,8 +50,8 @@ def fresh_copy(model: Model, *, alone: bool = False, is_run: bool = False) -> It
         yield model
         return
     copied, shared, functions = model, [], []
-    if not all(is_stateless(value, alone=alone) for value in users.values()):
-        copier, content = _written(model, users, alone=alone)
+    if not all(is_stateless(value, with_collections=with_collections) for value in users.values()):
+        copier, content = _written(model, users, with_collections=with_collections)
         reader = CopyReader(content, copier.shared)
         copied, shared, functions = reader.load(), copier.shared, copier.functions
     watch = shared_changes if is_run else followed_changes
@@ -59,15 +59,15 @@ def fresh_copy(model: Model, *, alone: bool = False, is_run: bool = False) -> It
         yield copied
 
 
-def _written(model: Any, users: Mapping[str, Any], *, alone: bool) -> "tuple[Copier, BytesIO]":
+def _written(model: Any, users: Mapping[str, Any], *, with_collections: bool) -> "tuple[Copier, BytesIO]":
     """Return a copier that has written a model, and what it has written; see `fresh_copy`."""
     content = BytesIO()
-    copier = Copier(content, alone=alone)
+    copier = Copier(content, with_collections=with_collections)
     try:
         copier.dump(model)
     except Exception as error:  # code of an object may raise anything
-        if alone:  # perhaps a collection of the caller cannot be copied: it is shared if `alone` is false
-            return _written(model, users, alone=False)
+        if with_collections:  # perhaps a collection of the caller cannot be copied; then it is shared
+            return _written(model, users, with_collections=False)
         raise _refusal(users, error) from error
     return copier, content
 

@@ -19,7 +19,7 @@ NEVER_CHANGED = OURS | {"networkx", "pathlib", "threading", "_thread", "queue", 
 threads, such as locks."""
 
 
-def never_changes(name: str) -> bool:
+def is_stateless_module(name: str) -> bool:
     """Return whether copies share the objects of the classes of a module, given its name; graphs of networkx change."""
     return name.partition(".")[0] in NEVER_CHANGED and not name.startswith("networkx.classes.")
 
@@ -31,7 +31,7 @@ def _form(kind: type) -> Literal["constant", "model", "items", "values", "object
         return "items"
     if kind is dict:
         return "values"
-    if not never_changes(module_of(kind)):
+    if not is_stateless_module(module_of(kind)):
         return "constant" if kind in {*CONSTANTS, np.ndarray} else "object"
     if issubclass(kind, tuple):  # a named tuple, such as a metric with its unit
         return "items"
@@ -40,7 +40,7 @@ def _form(kind: type) -> Literal["constant", "model", "items", "values", "object
 
 def _is_ours(value: Any) -> bool:
     """Return whether a value is a function of desim at the top level, which has no state."""
-    return type(value) is FunctionType and value.__closure__ is None and never_changes(module_of(value))
+    return type(value) is FunctionType and value.__closure__ is None and is_stateless_module(module_of(value))
 
 
 def users_objects(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
@@ -58,12 +58,14 @@ def users_objects(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
                 yield from users_objects(item, f"{key}.{name}" if key else str(name))
 
 
-def is_stateless(value: Any, *, alone: bool = False) -> bool:
+def is_stateless(value: Any, *, with_collections: bool = False) -> bool:
     """Return whether a value is a constant, or a function, class or module without state; see `fresh_copy`."""
     kind = type(value)
     if kind is FunctionType:
         variables = *defaults_of(value), *(value.__closure__ or ())
-        return _is_ours(value) or all((not alone and is_collection(item)) or _is_constant(item) for item in variables)
+        return _is_ours(value) or all(
+            (not with_collections and is_collection(item)) or _is_constant(item) for item in variables
+        )
     if kind is BuiltinFunctionType:
         return isinstance(value.__self__, ModuleType | NoneType)
     return kind in CONSTANTS or isinstance(value, type | ModuleType | CodeType)

@@ -26,7 +26,7 @@ import protocols
 from desim import Evader, Scenario, Team, run, summary, sweep
 from desim.analysis.metrics import Metric
 from desim.config.choice import choices_of
-from desim.config.fresh import StateError, fresh_copy
+from desim.config.fresh import Remembered, StateError, fresh_copy
 from desim.config.shared_state import StateWarning
 from desim.kernel.models.graphs import Ring
 from desim.kernel.models.links import Links
@@ -336,7 +336,7 @@ def test_a_second_summary_equals_the_first_and_the_object_of_the_caller_stays_as
 @pytest.mark.parametrize("module", ["queueing", "pathlib2", "threading_models", "desim_models", "protocols2"])
 def test_an_object_of_a_module_with_a_name_like_that_of_another_one_is_copied(module):
     model = type("Model", (Remembering,), {"__module__": module})()
-    with fresh_copy({"table": model}, alone=True) as copied:
+    with fresh_copy({"table": model}, with_collections=True) as copied:
         assert copied["table"] is not model
 
 
@@ -985,6 +985,12 @@ def test_state_that_the_caller_changes_between_runs_is_not_warned_of():
     for _ in range(2):
         Counting.calls.clear()
         summary(run(scenario, 1))
+
+
+def test_an_iterator_at_the_address_of_one_that_is_gone_counts_as_changed_too():
+    for _ in range(5):
+        turns, remembered = itertools.cycle([1j]), Remembered()
+        assert [remembered.has_changed(turns) for _ in range(3)] == [False, True, False]
 
 
 def test_a_function_that_dispatches_by_type_is_one_like_others():

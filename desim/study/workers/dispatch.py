@@ -192,7 +192,7 @@ def _outcome(task: Task, measure: Measurement, simulate: Simulate) -> Outcome:
         with (
             collected_warnings() as texts,
             identified_run(),
-            fresh_copy((scenario, measure), alone=True) as (copied, fresh_measure),
+            fresh_copy((scenario, measure), with_collections=True) as (copied, fresh_measure),
         ):
             result = simulate(copied, seed)
             if copied is not scenario and isinstance(result, Result):
