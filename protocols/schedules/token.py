@@ -3,12 +3,14 @@
 Paper: TokenRing: Le Lann 1977; on graphs that are not complete the rule "least recently visited" of Malpani, Chen,
     Vaidya & Welch 2005, "Distributed Token Circulation in Mobile Ad Hoc Networks". TokenWalk: Metropolis et al. 1953.
 Parameters: holding_time (time at each pursuer), attempts (transmissions of the token before a neighbour is given up).
-Assumes: a connected graph; otherwise each component has a token of its own.
+Assumes: a connected graph; otherwise each component has a token of its own. A pursuer knows its present neighbours and
+    theirs without messages.
 Messages: besides announcements, two each time the token is forwarded: the token and its receipt. The token carries the
     known records of all pursuers, so it is long.
 Robust to loss: yes; see `protocols.schedules.token_passing`. Without faults, at any latency, every decision is based on
     the present actions of all pursuers that the token has visited. Records must not time out (`belief_timeout`) between
-    two revisions of a pursuer. Whether the initial actions of the others are known depends on `announce.start`.
+    two revisions of a pursuer, or the others decide as if it were inactive. Whether the initial actions of the others
+    are known depends on `announce.start`.
 """
 
 from collections.abc import Callable
@@ -33,9 +35,9 @@ class _WithToken(Value):
     holding_time: Period = 0.01
     """Time for which a pursuer holds the token before it revises and forwards it, s.
 
-    A pursuer revises once in N holding times.
+    In a ring of N pursuers, each revises once in N (holding_time + L), where L is the delay of the token on one hop.
 
-    If in doubt, use the motion step, before which nothing new can be decided.
+    If in doubt, use the motion step: velocities do not change faster.
     """
     attempts: Annotated[int, Field(ge=1, strict=True)] = 5
     """Number of transmissions of the token to a neighbour before the neighbour is given up.
@@ -54,8 +56,9 @@ class _WithToken(Value):
         return self.holding_time + hop_time(me)
 
     def message_size(self, pursuers: int, announcement: int) -> int:
-        """Return the size of a token with the records of all pursuers, bytes."""
-        return HEADER + (len(UNHEARD) + 1 + pursuers) * NUMBER + pursuers * announcement
+        """Return the size of a token with the records of all pursuers, bytes; each absentee adds a number."""
+        numbers = len(UNHEARD) + 1 + pursuers  # epoch, hop and visits
+        return HEADER + numbers * NUMBER + pursuers * announcement
 
     def without_serial_decisions(self) -> dict[str, Any]:
         """Return the table, as in a scenario file, of a schedule in which all pursuers revise every `mean_slot`."""
@@ -91,7 +94,8 @@ def least_recent(me: Agent, token: Token) -> int | None:
 def metropolis(rng: np.random.Generator, me: Agent, token: Token) -> int | None:
     """Draw the next holder: neighbour j with probability min(1/d_i, 1/d_j), else None, which keeps the token.
 
-    Pursuer i is the present holder, and d_i the number of its neighbours that are not absent.
+    Pursuer i is the present holder, and d_i the number of its neighbours that are not absent; d_j is read from the
+    present topology.
     """
     candidates = not_absent(token, me.neighbours())
     probabilities = [1.0 / max(len(candidates), len(not_absent(token, me.neighbours(j)))) for j in candidates]
