@@ -48,8 +48,8 @@ def fit(quantile: Callable[[Floats], Floats]) -> Fit:
     """Fit a table to a quantile function of delays, s.
 
     The table holds the quantiles at (k + 1/2) / SIZE. The delay is their mean. The jitter is their standard deviation,
-    or more if a quantile differs from the mean by more than the table can express. Each quantile is reproduced within
-    half of jitter / SCALE, plus 1 ns, because both are rounded to whole nanoseconds.
+    or more if a quantile differs from the mean by more than the table can express. Both are whole nanoseconds, as in
+    tc, and the table is relative to the rounded ones, so each quantile is reproduced within half of jitter / SCALE.
     """
     quantiles = quantile((np.arange(SIZE) + 0.5) / SIZE)
     delay = round(fsum(quantiles) / SIZE, 9)
@@ -102,7 +102,7 @@ def pareto() -> tuple[int, ...]:
 
 @cache
 def paretonormal() -> tuple[int, ...]:
-    """Return 3/4 of a Pareto plus 1/4 of a normal distributed delay with the same quantile, rounded towards 0.
+    """Return, for each index, 3/4 of the number of `pareto` plus 1/4 of that of `normal`, rounded towards 0.
 
     The standard deviation of the table is 0.83.
     """
