@@ -79,10 +79,10 @@ def probes_of(text: str, name: str = "the text") -> list[Probe]:
     lines = [line.strip() for line in text.split("\n")]
     starts = sum(bool(START.fullmatch(line)) for line in lines)
     if not any(map(REPLY.fullmatch, lines)):
-        totals = [int(match[1] or match[2]) for line in lines if (match := RECEIVED.fullmatch(line))]
-        if not starts or not totals:
+        received = [int(match[1] or match[2]) for line in lines if (match := RECEIVED.fullmatch(line))]
+        if not starts or not received:
             return []
-        if any(totals):
+        if any(received):
             raise ValueError(
                 f"{name} has the summary of ping only; without the option -q, it prints a line for each reply"
             )
