@@ -1,4 +1,4 @@
-"""Parameters of users' models, which may be any objects: what stands for them in records, and when they are equal."""
+"""Parameters of users' models, which may be any objects: what stands for them in JSON, and when they are equal."""
 
 import json
 from collections import UserList, deque
@@ -35,7 +35,7 @@ def not_kept(value: Any) -> list[str]:
     if not is_dataclass(value) or isinstance(value, type):
         return []
     kept = {field.name for field in fields(value)}
-    others = value.__dataclass_fields__.keys() - kept  # class variables, too, which are no arguments
+    others = value.__dataclass_fields__.keys() - kept  # each `InitVar`, and class variables, which are no arguments
     return sorted(others & signature(type(value)).parameters.keys())
 
 
@@ -60,8 +60,8 @@ def in_json(value: Any) -> Any:
     plain = _content_in_json(value)
     if plain is not None:
         return plain
-    is_code = isinstance(value, type | BuiltinFunctionType)
-    return {"kind": import_name(value if is_code else definition_of(value))}
+    is_definition = isinstance(value, type | BuiltinFunctionType)
+    return {"kind": import_name(value if is_definition else definition_of(value))}
 
 
 def _content_in_json(value: Any) -> Any:
@@ -96,7 +96,7 @@ def dumped(model: BaseModel, *, exclude_none: bool = False) -> dict[str, Any]:
 
 
 def table_of(model: Any, *, exclude_none: bool = False) -> dict[str, Any]:
-    """Return the table that selects a model of a user or a function: its parameters, and its kind "module:name"."""
+    """Return the table that selects a user's object or function: its parameters, and its kind "module:name"."""
     if isinstance(model, BaseModel):
         parameters = dumped(model, exclude_none=exclude_none)
     else:
@@ -139,7 +139,7 @@ def _sorted_sets(value: Any, fallback: Callable[[Any], Any]) -> Any:
         return fallback(value)
     elif isinstance(value, datetime) and value != value:  # NaT of pandas, at which the serialiser of pydantic fails
         return str(value)
-    elif isinstance(value, deque | UserList) and not callable(value):
+    elif isinstance(value, deque | UserList) and not callable(value):  # a callable one is a model
         return [*map(inner, value)]
     else:
         return value
@@ -148,7 +148,10 @@ def _sorted_sets(value: Any, fallback: Callable[[Any], Any]) -> Any:
 
 
 def as_key(key: Any, fallback: Callable[[Any], Any] = in_json) -> Any:
-    """Return the key of a dict unchanged if it is a number, a text or a tuple of these, else its JSON as a text."""
+    """Return the key of a dict unchanged, or as JSON in a text if its JSON is a list or an object, as that of a set is.
+
+    A tuple of keys that stay unchanged stays unchanged, too.
+    """
     return key if _is_key(key, fallback) else json.dumps(as_jsonable(key, fallback), sort_keys=True)
 
 
