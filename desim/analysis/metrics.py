@@ -128,12 +128,15 @@ class Metric(NamedTuple):
 
 
 def entry(of: Callable[[Result], Any], unit: str = "", note: Any = None, **fields: Any) -> Any:
-    """Create a metric as an entry of `Summary`; the arguments are the fields of `Metric`."""
+    """Create a metric as an entry of `Summary`; the arguments are the fields of `Metric`.
+
+    The type of the result is Any, because the annotation of an entry is the type of the value (`summary.seed`).
+    """
     return Metric(of, unit, note, **fields)
 
 
 worse = partial(entry, more_is="worse")
-"""Creates a metric of which more is worse. The metrics that the next functions create also have a `Metric.given`."""
+"""Creates a metric of which more is worse; the next four do so, too, for metrics that need recordings (`given`)."""
 of_positions = partial(worse, given=positions_known)
 of_messages = partial(worse, given=messages_recorded)
 of_transport = partial(worse, given=has_transport)
@@ -168,8 +171,8 @@ class Summary(Mapping[str, Any]):
     if not TYPE_CHECKING:  # a type checker reports missing attributes itself
 
         def __getattr__(self, name: str) -> Any:
-            """Raise AttributeError with the name that may be meant; called only if there is no such attribute."""
-            if name.startswith("_") or hasattr(type(self), name):
+            """Raise AttributeError with the name that may be meant."""
+            if name.startswith("_") or hasattr(type(self), name):  # the attribute itself says why it has no value
                 return object.__getattribute__(self, name)
             raise AttributeError(
                 f"there is no metric {name!r}{did_you_mean(name, self)}; the others are in print(summary)"
@@ -251,7 +254,7 @@ class Summary(Mapping[str, Any]):
     )
     """Number of messages that were under way at the end of the run."""
     transmissions: int = worse(lambda result: messages(result).transmissions)
-    """Number of transmissions, whatever the number of receivers, also 0; each attempt on a channel counts."""
+    """Number of transmissions, with any number of receivers or none; each attempt on a channel counts."""
     bytes_sent: int = worse(
         lambda result: messages(result).bytes_sent, note=lambda run: f"in {run['transmissions']:,} transmissions"
     )
@@ -324,7 +327,7 @@ def _attribute(name: str) -> property:
     return property(value)
 
 
-for _name in METRICS:
+for _name in METRICS:  # in place of the entry, which `METRICS` keeps
     setattr(Summary, _name, _attribute(_name))
 
 
