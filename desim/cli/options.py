@@ -13,7 +13,7 @@ from desim.cli.output import fail
 from desim.simulation.watchdog import checked_limit, within
 
 COUNT = click.IntRange(1, 1_000_000)
-"""The number of runs, with the bounds of `sweep.reps`, which is slow to import."""
+"""The type of counts, as of runs; its bounds are those of `sweep.reps`, whose module is slow to import."""
 
 
 class _PathType(click.Path):
@@ -69,7 +69,7 @@ def pair(form: str = "KEY=VALUE", example: str = "protocol.kind=sap") -> Parsed:
 
 
 def out_to(text: str, *, required: bool = False) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return the option --out, whose help is a text."""
+    """Return the option --out with its help."""
     return click.option("-o", "--out", type=PATH, required=required, help=text)
 
 
@@ -208,7 +208,7 @@ def _checked_limit(_ctx: click.Context, _param: click.Parameter, limit: float | 
 
 
 def _timeout(text: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return the option --timeout, whose help is a text."""
+    """Return the option --timeout with its help."""
     return click.option("--timeout", type=float, metavar="SECONDS", callback=_checked_limit, help=text)
 
 
