@@ -1,8 +1,9 @@
 """Trust: which announcements of its teammates a pursuer believes.
 
-A `Trust` model creates a judge for each pursuer of a run (`judge`). The judge decides on each record, and may ignore
-extreme claims. Beliefs that are not trusted do not reach a protocol (`desim.pursuit.team.beliefs`), so any rule runs
-with any trust. What refutes a record is in `desim.pursuit.byzantine.evidence`.
+A `Trust` model creates a judge for each pursuer of a run (`judge`). The judge decides whether the pursuer believes each
+record, an announcement that has arrived, and which claims it ignores: the capture times of teammates that it believes.
+Beliefs that are not trusted do not reach a protocol (`desim.pursuit.team.beliefs`), so any rule runs with any trust.
+What refutes a record is in `desim.pursuit.byzantine.evidence`.
 """
 
 from math import inf
@@ -29,11 +30,11 @@ class Trust(Protocol):
         """Time between two reports of a judge, s; None: judges do not report."""
 
     def judge(self, witness: Observer) -> Judge | None:
-        """Create the judge of a pursuer, given what it observes; None: it believes everything."""
+        """Create the judge of a pursuer, given the observations of the pursuer; None: it believes everything."""
 
 
 class TrustTraits(Traits):
-    """The attribute of a trust that must be valid, in addition to `judge`."""
+    """The attribute, besides `judge`, that a model of trust must have; its value must be valid."""
 
     period: Period | None = None
     """Time between two reports of a judge, s; None: judges do not report."""
@@ -45,7 +46,7 @@ def may_distrust(trust: Trust) -> bool:
 
 
 def judge_of(trust: Trust, witness: Observer) -> Judge | None:
-    """Return the judge of a pursuer, given what it observes; None: it believes everything.
+    """Return the judge of a pursuer, given the observations of the pursuer; None: it believes everything.
 
     Raises:
         ValueError: if the trust of a user creates something else.
@@ -84,9 +85,10 @@ class Trimmed(_WithoutReports):
     """A pursuer ignores the F most extreme claims on each side of its own capture time.
 
     This is the rule of W-MSR (LeBlanc, Zhang, Koutsoukos & Sundaram 2013, "Resilient Asymptotic Consensus in Robust
-    Networks"): a pursuer ignores the F least capture times below its own, and the F greatest above it. So F liars with
-    a small capture time keep no pursuer from the chase, at the price of up to F + 1 chasers. In a complete graph F may
-    be up to `tolerated_liars`. The rule needs no observation, and does not find out who lies.
+    Networks"): a pursuer ignores the F least capture times below its own, and the F greatest above it. So F liars that
+    claim small capture times cannot stop the fastest pursuer; in return, the F + 1 fastest may all chase, because each
+    ignores those before it. In a complete graph F may be up to `tolerated_liars`. The rule needs no observation, and
+    does not find out who lies.
     """
 
     kind: Literal["trimmed"] = "trimmed"
@@ -115,13 +117,14 @@ class Plausible(_Observing):
     """A pursuer rejects the announcements that physics refutes.
 
     - The capture time is less than any pursuer could have at this distance from the evader.
-    - The action contradicts the motion: for a motion step before the announcement the sender stood still, or chased.
+    - The action contradicts the motion: for a motion step before the announcement the sender did otherwise, such as
+      stand still if it announces a chase.
     - The position is farther away than the sender can have moved since.
 
     A true announcement is never rejected, however late, if clocks are equal, because the check allows for all that the
-    sender can have done since. The capture time of a sender that does not see the evader follows from its estimate; a
-    pursuer that sees the evader may refute it. A rejected teammate counts as silent until its next announcement that is
-    not refuted.
+    sender can have done since. But an honest sender that does not see the evader announces a capture time from its
+    estimate, and a pursuer that sees the evader may refute that. A rejected teammate counts as silent until its next
+    announcement that is not refuted.
     """
 
     kind: Literal["plausible"] = "plausible"
