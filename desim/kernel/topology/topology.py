@@ -25,7 +25,7 @@ from desim.kernel.walls.wall import Wall
 FEW = 4
 """Number of receivers up to which it is faster to compute their distances one by one than with arrays."""
 SMALL_NETWORK = 400
-"""Number of nodes up to which it is faster to compute all distances than to use a cell list, and receivers are kept."""
+"""Number of nodes up to which a search computes all distances, faster than with a cell list, and its result is kept."""
 
 
 class Topology:
@@ -94,7 +94,8 @@ class Topology:
             as_position_source(positions) if positions is not None and (range < inf or has_walls) else None
         )
         if has_walls:
-            self.walls, self._bound = RadioWalls(walls, size, self._range_check.exponent), self._range_check.bound
+            self.walls = RadioWalls(walls, size, self._range_check.exponent)
+            self._max_distance = self._range_check.bound
         self._few = 1
         """Number of receivers that `reaches` checks one by one: `FEW` if the source has a fast `distance`, else 1."""
         self._kept: KeptReceivers | None = None
@@ -185,7 +186,7 @@ class Topology:
             x, y = (ends - starts).T
             distances = np.hypot(x, y)
         if self.walls is not None:
-            distances = self.walls.stretched(src, nodes, starts, ends, distances, self._bound)
+            distances = self.walls.stretched(src, nodes, starts, ends, distances, self._max_distance)
         if self.channel is None:
             received: list[bool] = self._range_check(src, nodes, distances, message).tolist()
         else:
@@ -232,8 +233,8 @@ class Topology:
     def neighbours(self, node: int) -> Nodes:
         """Return the nodes that receive from `node` now, ascending.
 
-        If fading changes, these are the nodes with a probability of reception of at least 1/2, because a sender that
-        waits for acknowledgements does not know which nodes are in a fade.
+        If fading changes, these are the nodes with a probability of reception of at least 1/2. They are the nodes whose
+        acknowledgements a sender waits for, and it does not know which of them are in a fade now.
 
         Raises:
             IndexError: if the node does not exist.
@@ -318,7 +319,7 @@ class Topology:
         distances[index] = self._range  # in place of 0, the distance of the node from itself: a model may divide by it
         if self.walls is not None:
             distances = self.walls.stretched(
-                node, candidates, places[index : index + 1], places, distances, self._bound
+                node, candidates, places[index : index + 1], places, distances, self._max_distance
             )
         if self.channel is None or message is None:
             received = self._range_check(node, candidates, distances, message)
@@ -331,7 +332,7 @@ class Topology:
     def _distances(self, node: int, candidates: Nodes) -> tuple[int, Floats, Floats]:
         """Return the index of a node among the (k,) candidates, their (k, 2) positions, and their distances from it."""
         assert self._positions is not None
-        if self._complete and len(candidates) == self.size:  # a source may store all positions of an instant
+        if self._complete and len(candidates) == self.size:  # `of` would copy them, and a source may have them stored
             index, places = node, self._positions()
         else:
             index, places = int(candidates.searchsorted(node)), self._positions.of(candidates)
