@@ -510,6 +510,11 @@ def test_probably_unintended_values_are_named_with_key_and_reason(given, key, wh
         {"sensing": Sensing(radius=0.11, estimate="hold")},
         {"network": Links(range=9.0, reception=Disk(exponent=4.0)), "wall": [SHORT_WALL | {"loss": 3.0}]},
         {"network": Links(range=9.0), "wall": [CONCRETE | {"frequency": 1e9}]},
+        {
+            "wall": [{"line": [[100.1, 0.0], [100.1, 20.0]], "blocks": ["sight"]}],
+            "environment": {"flow": {"kind": "uniform", "velocity": [0.01, 0.0]}},
+            **AT_CORNERS,
+        },
         {"network": Links(medium=LORA | {"gateways": [0], "spreading_factors": [7, 8] * 10}), "announce": SELDOM},
         {"network": Links(preset="lte")},
         {"network": Links(preset="lte", range=1e6)},
