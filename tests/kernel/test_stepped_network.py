@@ -849,6 +849,26 @@ def test_the_garbage_collector_looks_rarely_while_a_network_is_open_and_in_each_
     assert gc.get_threshold() == usual
 
 
+@pytest.mark.parametrize(
+    "use",
+    [
+        lambda network: network.send(0, 1, "x"),
+        lambda network: network.publish(0, "x"),
+        lambda network: network.step(0.1),
+        lambda network: network.leave(0),
+    ],
+    ids=["send", "publish", "step", "leave"],
+)
+def test_a_network_is_copied_before_its_first_use_and_after_a_reset_only(use):
+    network = SteppedNetwork(2, can_leave=True)
+    copy.copy(network)
+    use(network)
+    with pytest.raises(TypeError, match="before its first message and step only"):
+        copy.copy(network)
+    network.reset(1)
+    copy.copy(network)
+
+
 def test_what_a_network_cannot_do_is_said():
     with pytest.raises(ValueError, match="depends on the positions"):
         SteppedNetwork(3, Links(range=5.0)).send(0, None, 1)
