@@ -382,6 +382,7 @@ def test_cached_values_are_derived_once_per_trace_index_and_again_for_a_result(r
         return len(calls)
 
     index = trace_index(relay)
+    assert repr(index) == repr(relay).replace("Result", "TraceIndex")
     assert [derived(index), derived(index), derived(trace_index(relay)), derived(relay), derived(relay)] == [
         1,
         1,
