@@ -312,7 +312,7 @@ class Scenario(Value):
         return self
 
     def _number_by_names(self) -> None:
-        """Give a named node one number in all tables: that of the graph, else of the positions, else of a trace."""
+        """Give a named node one number in all tables: that in the graph, else the positions, else measurements."""
         names = names_of(self.network.graph) or self.team.names or self.network.node_names
         self.__dict__["network"] = self.network.numbered(names)
         self.__dict__["team"] = self.team.numbered(names)
