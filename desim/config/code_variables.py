@@ -44,15 +44,18 @@ _FOREIGN = {*sys.stdlib_module_names, "desim", "protocols", "numpy", "pydantic",
 
 
 def shared_variables(objects: Iterable[Any]) -> Iterator[tuple[Any, str, Read]]:
-    """Yield each variable that code of a user may change: its function or class, its name, and what reads its value."""
+    """Yield each variable that code of a user may change: its owner, its name, and what reads its value.
+
+    The owner is the module of a global variable, which several functions may read, and else the function or class.
+    """
     for item in objects:
         if isinstance(item, FunctionType | CACHED):
             yield from ((item, *variable) for variable in _attributes(item.__qualname__, vars(item)))
         if isinstance(item, FunctionType):
-            yield from ((item, *variable) for variable in _variables(item))
+            yield from _variables(item, item)
         elif isinstance(item, type):
             for function in _functions_in(vars(item).values()):
-                yield from ((item, *variable) for variable in _variables(function))
+                yield from _variables(function, item)
             yield from ((item, *variable) for variable in _attributes(item.__qualname__, vars(item)))
 
 
@@ -73,7 +76,7 @@ def _attributes(owner: str, namespace: Any) -> Iterator[tuple[str, Read]]:
             yield f"{owner}.{name}", partial(namespace.get, name)
 
 
-def _variables(function: FunctionType) -> Iterator[tuple[str, Read]]:
+def _variables(function: FunctionType, owner: Any) -> Iterator[tuple[Any, str, Read]]:
     """Yield the variables outside of a function that it may change, without collections to which it only adds."""
     if is_foreign(function):
         return
@@ -87,11 +90,13 @@ def _variables(function: FunctionType) -> Iterator[tuple[str, Read]]:
     variables |= {name: partial(_contents, cell) for name, cell in cells}
     for name, read in variables.items():
         if not only_adds(code, name):
-            yield f"{name} of {function.__qualname__}", read
+            yield owner, f"{name} of {function.__qualname__}", read
     for module, namespace, names in _modules_of(function):
+        imported = sys.modules.get(module)
+        is_owner = isinstance(imported, ModuleType) and vars(imported) is namespace
         for name in names:
             if name in namespace and not (name in _words_of(code).names and only_adds(code, name)):
-                yield f"{plain_name(module)}.{name}", partial(namespace.get, name)
+                yield imported if is_owner else owner, f"{plain_name(module)}.{name}", partial(namespace.get, name)
 
 
 def _modules_of(function: FunctionType) -> Iterator[tuple[str, dict[str, Any], Collection[str]]]:

@@ -53,7 +53,7 @@ def _warn(text: str) -> None:
 
 
 _runs: WeakKeyDictionary[Any, dict[str, tuple[Any, Any]]] = WeakKeyDictionary()
-"""By function or class, what its variables were before and after the last run that used it, by name."""
+"""By function, class or module, what its variables were before and after the last run that used them, by name."""
 
 
 @contextmanager

@@ -1055,6 +1055,26 @@ def test_state_in_a_class_a_function_or_a_module_is_warned_of(strategy, name):
         run(game(strategy), 1)
 
 
+OF_TWO = [0]
+
+
+def test_a_global_variable_that_another_function_has_changed_is_warned_of():
+    """As by a lambda of another scenario, or a function whose cell in a notebook was run again."""
+
+    def made():
+        def strategy(state, rng):
+            OF_TWO[0] += 1
+            return 1j ** OF_TWO[0]
+
+        return strategy
+
+    run(game(made()), 1)
+    with pytest.warns(StateWarning, match=f"^{__name__}.OF_TWO: an earlier run has changed it"):
+        run(game(made()), 1)
+    OF_TWO[0] = 0
+    run(game(made()), 1)
+
+
 GLOBALLY = [
     (lambda: random.random(), "random"),
     (lambda: np.random.normal(), "numpy.random"),  # noqa: NPY002
