@@ -174,6 +174,10 @@ def test_dates_share_one_clock_and_rows_of_several_nodes_may_alternate(tmp_path)
 
 START = "$node_(0) set X_ 1.0\n$node_(0) set Y_ 2.0\n"
 REFUSED = {
+    "dates with and without a zone": (
+        "t,x,y\n2024-05-01T12:00:00Z,1,2\n2024-05-01T12:00:01,2,2\n",
+        r"line 3: a time should be .*; dates should all have a time zone, or none",
+    ),
     "quadruples": (
         "0 10 12 5 6 12 12 12\n",
         r"line 1: .*there are 8; 4 numbers per waypoint\? Then set dimensions = 3",

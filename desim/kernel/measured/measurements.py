@@ -291,13 +291,14 @@ def _times(cells: Cells, column: str, unit: Unit) -> Integers:
         hint = " (time_unit)" if "probably in" in reason else ""
         raise cells.error(times.index(start), f"{column}: {reason}{hint}")
     if (end := max(times)) - start > MAX_TIME:
-        hint = (
-            "; dates should all have a time zone, or none"
-            if any(map(DATE.fullmatch, map(str.strip, cells.columns[column])))
-            else ""
-        )
-        raise cells.error(times.index(end), f"{column} should be at most {MAX_TIME:g} s after the earliest time{hint}")
+        reason = f"{column} should be at most {MAX_TIME:g} s after the earliest time"
+        raise cells.error(times.index(end), reason + hint_of_zones(cells.columns[column]))
     return np.array([round((time - start) * SECOND) for time in times], dtype=np.int64)
+
+
+def hint_of_zones(texts: Iterable[str]) -> str:
+    """Return what may be wrong with times that are too late: dates with and without a zone; "" if none is a date."""
+    return "; dates should all have a time zone, or none" if any(DATE.fullmatch(text.strip()) for text in texts) else ""
 
 
 def _values(cells: Cells, column: str, meaning: Meaning) -> Floats:

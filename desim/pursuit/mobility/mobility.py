@@ -10,7 +10,7 @@ from desim.config.model import MAX_COORDINATE, MAX_TIME
 from desim.config.number_files import converted, is_fill, number_of
 from desim.config.suggestion import did_you_mean
 from desim.kernel.core.units import nanoseconds
-from desim.kernel.measured.measurements import LIKE_NUMBER, Unit, time_of
+from desim.kernel.measured.measurements import LIKE_NUMBER, Unit, hint_of_zones, time_of
 
 MAX_NAMES = 10
 """Maximum number of nodes listed in an error message."""
@@ -107,7 +107,7 @@ def time(text: str, place: str, start: Decimal = Decimal(0), unit: Unit = "s") -
         ValueError: if the text is not a time, or is not from 0 to `MAX_TIME`.
     """
     elapsed = float(converted(partial(time_of, unit=unit), text, place) - start)
-    return _within(elapsed, text, place, "a time", 0.0, MAX_TIME, "s")
+    return _within(elapsed, text, place, "a time", 0.0, MAX_TIME, "s", hint_of_zones([text]))
 
 
 def coordinate(text: str, place: str) -> float:
@@ -120,7 +120,9 @@ def speed(text: str, place: str) -> float:
     return _within(converted(number_of, text, place), text, place, "a speed", 0.0, MAX_COORDINATE, "m/s")
 
 
-def _within(number: float, text: str, place: str, quantity: str, low: float, high: float, unit: str) -> float:
+def _within(
+    number: float, text: str, place: str, quantity: str, low: float, high: float, unit: str, hint: str = ""
+) -> float:
     if not low <= number <= high:
-        raise ValueError(f"{place}: {quantity} should be from {low:g} to {high:g} {unit} (got {text})")
+        raise ValueError(f"{place}: {quantity} should be from {low:g} to {high:g} {unit} (got {text}){hint}")
     return number
