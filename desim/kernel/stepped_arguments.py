@@ -13,7 +13,6 @@ from desim.config.model import MAX_TIME, Value
 from desim.config.python_numbers import real, whole
 from desim.kernel.core.clock import NEVER
 from desim.kernel.core.units import nanoseconds
-from desim.kernel.graph_files.graph_attributes import unread_attributes
 from desim.kernel.graph_files.node_names import numbered
 from desim.kernel.models.clock_skew import ClockSkew
 from desim.kernel.models.fault_plans import FAULTS
@@ -95,8 +94,6 @@ def nodes_argument(nodes: "int | nx.Graph[Any]", links: Links) -> tuple[Links, t
     if not len(graph):
         raise ValueError("a network should have at least 1 node (got an empty graph)")
     edges, numbers = Edges.of(graph), numbered(graph).numbers
-    for note in unread_attributes(graph, of_links_only=True):  # other attributes of nodes may be positions
-        warn_caller(note)
     labels = tuple(sorted(numbers, key=numbers.__getitem__))
     links = links.model_copy(update={"graph": edges}).numbered(edges.names)
     _check_unit(links)

@@ -28,6 +28,7 @@ CALLS = {
     "a latency in ms of an edge": lambda: SteppedNetwork(nx.Graph([("a", "b", {"latency": 20.0})])),
     "a latency in ms of several networks": lambda: SteppedNetworks(2, 2, Links(**LATE)),
     "an attribute that is not read": lambda: SteppedNetwork(nx.Graph([("a", "b", {"delay": 0.1})])),
+    "an attribute of a graph of links": lambda: Links(graph=nx.Graph([(0, 1, {"delay": 0.1})])),
     "a model with its own draws": lambda: desim.run(DRAWING, 1),
     "a model with its own draws, in a sweep": lambda: desim.sweep(DRAWING, {"horizon": [0.05]}, reps=1),
     "a model of a latency": lambda: desim.testing.check_latency(desim.Constant(value=20.0), draws=200),

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, Self, get_a
 from pydantic import Field, ModelWrapValidatorHandler, ValidationError, ValidationInfo, model_validator
 
 from desim.config.arguments import value_text
+from desim.config.caller_warnings import warn_caller
 from desim.config.choice import OneOf
 from desim.config.errors import WORDINGS, KeyedError
 from desim.config.model import Flag, Value
@@ -154,6 +155,8 @@ class Edges(Value):
     def _read(cls, data: Any, make: ModelWrapValidatorHandler[Self], info: ValidationInfo) -> Self:
         if is_networkx(data):
             fields, notes = _fields(data)
+            for note in unread_attributes(data, of_links_only=True):  # other attributes of nodes may be positions
+                warn_caller(note)
         elif isinstance(data, dict) and data.get("file") is not None:
             if excluded := [name for name in ("edges", "nodes", "names") if name in data]:
                 raise ValueError(f"should have either a file or {' and '.join(excluded)}: a file gives all of them")
