@@ -313,3 +313,12 @@ def test_the_graph_numbers_the_nodes_of_a_table(key, counts):
     assert dict(links)[key].nodes == ("b", "a")
     _, total = sent(links, [(0, 1, 0), (0, 0, 1)], graph=links.make_graph(2))
     assert (total.delivered, total.lost) == counts
+
+
+def test_a_cell_in_quotes_has_a_space_between_its_lines():
+    """As in long names of columns of spreadsheets; the lines of a number were joined."""
+    table = '"t","latency\n(s)"\r\n0,0.1\r\n1,{}\r\n'
+    model = LatencyTrace(table=table.format('"2"'), value="latency (s)")
+    assert model.measurements.values.tolist() == [0.1, 2.0]
+    with pytest.raises(ValueError, match=r"'2 0' is not a number"):
+        LatencyTrace(table=table.format('"2\n0"'), value="latency (s)")

@@ -268,6 +268,8 @@ def separator_of(text: str) -> str:
 def rows_of(text: str, name: str, separator: str = "") -> Iterator[tuple[int, list[str]]]:
     """Yield the line and the cells of each row of CSV text, the header included; cells may end in white space.
 
+    A cell in quotes with several lines, as a spreadsheet writes the long name of a column, has spaces between them.
+
     Args:
         text: the text.
         name: the name of the table, for error messages.
@@ -276,11 +278,13 @@ def rows_of(text: str, name: str, separator: str = "") -> Iterator[tuple[int, li
     lines = text.split("\n")
     if "#" in text:
         lines = ["" if line.lstrip().startswith("#") else line for line in lines]
+    if has_quotes := '"' in text:  # a cell in quotes may have several lines
+        lines = [f"{line}\n" for line in lines]
     reader = csv.reader(lines, delimiter=separator or separator_of(text), strict=True, skipinitialspace=True)
     try:
         for cells in reader:
             if any(cells):
-                yield reader.line_num, cells
+                yield reader.line_num, [cell.replace("\n", " ") for cell in cells] if has_quotes else cells
     except csv.Error as error:
         raise ValueError(f"{name}, line {reader.line_num}: {error}") from error
 
