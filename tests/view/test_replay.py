@@ -1324,6 +1324,27 @@ def test_a_ghost_is_drawn_as_hollow_marks_and_thin_trails(shown, theme):
 
 @in_chromium
 @pytest.mark.slow
+def test_the_last_number_of_a_long_time_axis_is_not_cut(shown):
+    """The number at the end of the axis is centred 8 px before the edge of the canvas, so a long one is moved."""
+    ends = """(() => {
+      const ends = {}, write = CanvasRenderingContext2D.prototype.fillText;
+      CanvasRenderingContext2D.prototype.fillText = function (text, x, y) {
+        if (this.textAlign === "center") ends[text] = x + this.measureText(text).width / 2;
+        write.call(this, text, x, y);
+      };
+      document.getElementById("theme").click();  // draws the axis anew
+      replay.draw();
+      CanvasRenderingContext2D.prototype.fillText = write;
+      return ends;
+    })()"""
+    opened = shown(chase(1, 5_000_000))
+    edge, ends_of = opened.value("axis.clientWidth"), opened.value(ends)
+    assert {"0 s", "5000"} <= ends_of.keys()
+    assert edge - 1 <= ends_of["5000"] <= edge
+
+
+@in_chromium
+@pytest.mark.slow
 def test_the_active_pursuers_of_a_ghost_are_dashed_in_the_scale_of_both(shown):
     """By hand: 2 are active in the run from 400 ms to 700 ms, always in one ghost of 0.5 s; in the other, 5 are."""
     texts = """(() => {

@@ -46,7 +46,8 @@ function drawBackdrop() {
   for (let s = 0; s <= END * TICK * 1.0001; s += step) {
     const x = Math.round(xOf(s / TICK)) + .5;
     c.beginPath(); c.moveTo(x, 0); c.lineTo(x, bottom); c.stroke();
-    c.fillText(s ? `${+s.toPrecision(6)}` : "0 s", Math.min(x, w - 12), h - 3);
+    const text = s ? `${+s.toPrecision(6)}` : "0 s";
+    c.fillText(text, Math.min(x, w - c.measureText(text).width / 2), h - 3);
   }
   // Active pursuers. The scale reaches at least two, so that one does not look like all. With several evaders, their lanes show who is alone.
   const ghostSteps = $("other")?.checked ? [...ghost.t].map((t, k) => [t, ghost.count[k]]).filter(([t]) => t <= END) : [];
