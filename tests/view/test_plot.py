@@ -11,7 +11,7 @@ from PIL import Image
 
 import desim
 from desim import load, run
-from desim.analysis.drawing.plots import save
+from desim.analysis.drawing.plots import save, styled
 from desim.cli.plot import plot
 from desim.results.run_folder import write
 from desim.study.results.tables import notes
@@ -261,6 +261,17 @@ def test_a_sweep_that_cannot_be_drawn_is_reported(swept, words, says):
 
 def test_the_command_that_drew_names_the_one_that_plots():
     assert "No such command 'draw'. Did you mean 'desim plot'?" in refused("draw", "film", "x")
+
+
+def test_the_title_above_equal_scales_and_a_high_legend_is_within_the_figure():
+    """The first layout of such axes cuts the title; the ratio and the legend are those of `scenarios/many.toml`."""
+    with styled((5.2, 5.2)) as figure:
+        axes = figure.add_subplot()
+        axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)", title="title")
+        for k in range(7):
+            axes.plot([2.8, 20.0], [2.4, 16.7], label=f"line {k}")
+        figure.legend(loc="outside lower center", ncols=2, fontsize=8)
+    assert axes.title.get_window_extent().y1 <= figure.bbox.y1
 
 
 # Axes of a figure of several.

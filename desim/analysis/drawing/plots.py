@@ -147,9 +147,15 @@ def styled(
         figure.draw_without_rendering()
         if not layout.is_settled(figure):  # the first layout has changed the ticks of the axes
             figure.draw_without_rendering()
-        if uncover_data(figure):
+        is_covering = uncover_data(figure)
+        if is_covering or not _titles_fit(figure):
             layout.unsettle()
             figure.draw_without_rendering()
+
+
+def _titles_fit(figure: Figure) -> bool:
+    """Return whether the titles of the axes end within a figure; one layout of axes with equal scales may cut them."""
+    return all(axes.title.get_window_extent().y1 <= figure.bbox.y1 for axes in figure.axes)
 
 
 class _StyledFigure(Figure):
