@@ -74,6 +74,17 @@ def test_one_key_is_a_line_over_its_values():
 
 
 @pytest.mark.slow
+def test_the_points_of_a_difference_from_an_end_of_the_axis_stand_within_it():
+    """The reference has a tick and no points: the axis reaches beyond it, and beyond the points at its other end."""
+    figure = means(result({"horizon": [1.0, 2.0], "prune": ["inf", "none"]}), "active_time", against={"horizon": 1.0})
+    (axes,) = figure.axes
+    xs = [x for container in axes.containers for x in container.lines[0].get_xdata().tolist()]
+    low, high = axes.get_xlim()
+    assert low < 0.96
+    assert high > 2.04 > max(xs) > 2.0
+
+
+@pytest.mark.slow
 def test_error_bars_are_intervals():
     """Of k, k + 1, k + 2: 4.303 / sqrt(3) = 2.484 to either side."""
     axes, _ = drawn({"horizon": [1.0, 2.0]})

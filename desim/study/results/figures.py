@@ -249,6 +249,7 @@ def legend(result: SweepRuns) -> Figure | None:
             axes.plot([], [], label=name, **look_of(k))
         add_legend(figure, title_of_legend(line_keys))
         axes.remove()  # they only gave the legend its lines
+    figure.set_figwidth(figure.legends[0].get_window_extent().width / figure.dpi)  # no margins: a phone would shrink it
     return figure
 
 
