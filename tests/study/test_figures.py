@@ -307,6 +307,17 @@ def test_the_legend_of_small_panels_is_within_the_picture(size):
 
 
 @pytest.mark.slow
+def test_the_legend_of_a_page_is_as_wide_as_its_lines():
+    """A page shrinks a picture that is wider than itself, and with it the text."""
+    figure = legend(result({"x": [1.0, 2.0], "prune": ["inf", "none"]}))
+    figure.draw_without_rendering()
+    box = figure.legends[0].get_window_extent()
+    assert figure.bbox.width == pytest.approx(box.width, abs=1.0)
+    assert figure.get_figwidth() < 2.5
+    assert box.x0 == pytest.approx(0.0, abs=1.0)
+
+
+@pytest.mark.slow
 def test_small_panels_over_no_number_have_a_row_per_configuration():
     figure = multiples(result({"prune": ["inf", "none"]}), ["active_time", "switches"])
     assert not figure.legends

@@ -271,6 +271,7 @@ def _draw_lines(
     else:
         places, is_identity = {value: float(k) for k, value in enumerate(values)}, False
     low, high = min(places.values()), max(places.values())
+    axes.update_datalim([(low, 0.0), (high, 0.0)], updatey=False)  # a reference has no points, and yet a tick
     for k, (name, points) in enumerate(lines.items()):
         if not points:
             continue
