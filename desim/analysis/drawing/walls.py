@@ -15,18 +15,22 @@ from desim.pursuit.paths.corners import solid_side
 
 SOLID = "#333333"
 """The colour of a wall that blocks motion."""
+PASSED = {"motion": "no obstacle", "sight": "seen through"}
+"""What the legend says of a wall that does not block motion or sight; the words are those of replays."""
 
 
 def draw_walls(axes: Axes, walls: Sequence[Wall]) -> None:
     """Draw walls: pale if players can pass through them, and dashed if players can see through them."""
-    label: str | None = "wall"  # only of the first, for the legend
+    labelled: set[str] = set()  # only the first line of a kind has a label, for the legend
     for wall in walls:
         colour = SOLID if "motion" in wall.blocks else GREY
         look: dict[str, Any] = {"color": colour, "lw": 1.8, "ls": "-" if "sight" in wall.blocks else (0, (3, 2))}
+        passed = [word for kind, word in PASSED.items() if kind not in wall.blocks]
+        label = ", ".join(["wall", *passed])
         for shape in wall.shapes:
             corners = np.vstack([shape.corners, shape.corners[:1]]) if shape.closed else shape.corners
-            axes.plot(*corners.T, zorder=2.5, label=label, **look)
-            label = None
+            axes.plot(*corners.T, zorder=2.5, label=None if label in labelled else label, **look)
+            labelled.add(label)
         rings = [shape for shape in wall.shapes if shape.closed]
         if rings:
             area = Path.make_compound_path(*(_oriented(ring, rings) for ring in rings))
