@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from math import isnan
+from typing import Any
 
 from desim.analysis.drawing.palette import BLUE, GREY, SKY
 from desim.analysis.drawing.plots import Axes, Figure, Style, as_it_is, styled
@@ -50,6 +51,9 @@ def draw_sensitivity(
                 axes.set_xlabel(f"share of the variance of {words(metric)}")
                 if indices.is_varied:
                     figure.legend(loc="outside lower center", ncols=2, fontsize=7)
+                else:  # as in the table of the result
+                    place: dict[str, Any] = {"transform": axes.transAxes, "ha": "center", "va": "center"}
+                    axes.text(0.5, 0.5, "no variance beyond chance", fontsize=7, **place)
             axes.axvline(0.0, color=GREY, lw=0.8)
         axes = figure.axes[0]
         axes.set_yticks(range(len(keys)), list(map(literal, keys)))
