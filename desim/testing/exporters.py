@@ -11,7 +11,7 @@ from desim.scenario.scenario import Scenario
 from desim.simulation.run import run
 from desim.testing.judging import SEED, Subject, subject
 from desim.testing.metrics import SITUATIONS
-from desim.view.formats.export import EXPORTERS, ExporterTraits
+from desim.view.formats.export import EXPORTERS, ExporterTraits, is_count
 
 
 @naming_arguments
@@ -58,7 +58,7 @@ def _refusals(tested: Subject, where: str, parts: dict[str, Any], folder: Path) 
             return [str(error)]
         tested.require(file.exists(), f"{call} does not write the file that it is given")
         tested.require(
-            count is None or (isinstance(count, int) and count >= 0),
+            is_count(count),
             f"{call} returns {value_text(count)}, expected the number of items in the file, an integer, or None",
         )
     first, second = (file.read_bytes() for file in files)

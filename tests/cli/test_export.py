@@ -3,8 +3,10 @@
 import sys
 import tracemalloc
 from functools import partial
+from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pandas as pd
 import pytest
 from mcap.reader import make_reader
@@ -173,6 +175,24 @@ def test_a_package_that_is_missing_is_named_with_its_extra(recorded, tmp_path, m
     why = f"{package} is missing: pip install 'pursuit-desim[{extra}]', or in a clone pip install '.[{extra}]'\n"
     assert refused("export", recorded, tmp_path / f"x.{suffix}") == why
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("answer", ["one", Path("x"), 1.5, -1, True])
+def test_an_exporter_that_returns_no_number_of_items_is_named_and_leaves_the_file(tmp_path, answer):
+    def exporter(result, file):
+        file.write_text("new")
+        return answer
+
+    (file := tmp_path / "x.text").write_text("old")
+    with pytest.raises(
+        ValueError, match=r"^an exporter should return the number of items .* from exporter .*test_export"
+    ):
+        export(SimpleNamespace(trace=[]), file, exporter)
+    assert file.read_text() == "old"
+
+
+def test_an_exporter_may_count_with_numpy(tmp_path):
+    assert export(SimpleNamespace(trace=[]), tmp_path / "x", lambda _, file: np.int64(file.write_text("new"))) == 3
 
 
 def test_the_error_of_an_exporter_that_misses_a_package_is_its_own(recorded, tmp_path):

@@ -236,6 +236,11 @@ def test_a_wrong_exporter_is_told_what_is_wrong(exporter, why):
 
 
 @pytest.mark.slow
+def test_an_exporter_may_return_an_integer_of_numpy():
+    check_exporter(lambda result, file: np.int64(file.write_text("x")), limit=60.0)
+
+
+@pytest.mark.slow
 def test_an_exporter_that_streams_is_given_the_events_of_a_file():
     class Lines(Value):
         streams: ClassVar[bool] = True

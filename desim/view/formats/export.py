@@ -12,12 +12,14 @@ from typing import Annotated, Any
 
 from pydantic import Field, ValidationError
 
+from desim.config.answers import wrong_answer
 from desim.config.arguments import Argument, naming_arguments, run_argument, value_text
 from desim.config.choice import OneOf
 from desim.config.error_texts import text_of
 from desim.config.extras import missing
 from desim.config.fresh import fresh_copy
 from desim.config.model import Flag, Value
+from desim.config.python_numbers import as_python
 from desim.config.suggestion import did_you_mean
 from desim.config.traits import Traits, kind_of
 from desim.config.whole_files import replacing
@@ -127,7 +129,8 @@ def export(result: Result | StreamedResult, file: str | PathLike[str], exporter:
 
     Raises:
         TypeError: if `result` is not the result of a run; the message says what to write instead.
-        ValueError: if the file has another suffix, or the messages that a .pcapng needs were not recorded.
+        ValueError: if the file has another suffix, the messages that a .pcapng needs were not recorded, or an exporter
+            returns no number of items; an older file then stays.
         ImportError: if a package that the format needs is not installed.
         OSError: if the file cannot be written.
     """
@@ -148,4 +151,12 @@ def export(result: Result | StreamedResult, file: str | PathLike[str], exporter:
             raise ImportError(missing(*required)) from None
         if not part.exists():
             raise ValueError(f"the exporter {kind_of(chosen)} should write the file that it is given, {part}")
+        if not is_count(count):
+            raise wrong_answer("an exporter should return the number of items in the file, or None", count, chosen)
     return None if count is None else int(count)
+
+
+def is_count(answer: Any) -> bool:
+    """Return whether an exporter may return this: a number of items, of any kind of integer, or None."""
+    count = as_python(answer)
+    return count is None or (type(count) is int and count >= 0)
