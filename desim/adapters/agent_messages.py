@@ -22,6 +22,7 @@ from desim.adapters.env_network import EnvNetwork
 from desim.adapters.message_spaces import UNHEARD, ActionSpace, blank, with_entries
 from desim.config.arguments import value_text
 from desim.config.arrays import array_of
+from desim.config.python_numbers import as_python
 
 
 class AgentMessages(EnvNetwork):
@@ -43,8 +44,9 @@ class AgentMessages(EnvNetwork):
         if agents is not None and not agents:
             raise ValueError(f"{env} has no agents: its possible_agents are empty")
         super().__init__(env, agents, links, **options)
-        if type(message) is int and message > 0:
-            message = spaces.Box(-1.0, 1.0, (message,), np.float32)
+        number = message if isinstance(message, spaces.Space) else as_python(message)
+        if type(number) is int and number > 0:
+            message = spaces.Box(-1.0, 1.0, (number,), np.float32)
         if not isinstance(message, spaces.Space):
             raise ValueError(
                 f"message should be a gymnasium space, or a number of floats from 1 on (got {value_text(message)})"

@@ -426,10 +426,16 @@ def test_a_wrapped_environment_is_copied_and_pickled_before_and_after_reset():
     env.close()
 
 
+@pytest.mark.parametrize("count", [2, np.int64(2), np.array(2)], ids=repr)
+def test_the_number_of_floats_of_a_message_is_an_integer_of_any_kind(count):
+    assert desim.wrap(Line(), Links(), message=count).action_space("ann")["message"].shape == (2,)
+
+
 @pytest.mark.parametrize(
     ("options", "why"),
     [
         ({"message": 0}, "message should be a gymnasium space, or a number of floats"),
+        ({"message": True}, "message should be a gymnasium space, or a number of floats"),
         ({"message": "text"}, "message should be a gymnasium space"),
         ({"message": spaces.Text(5)}, "the elements of a Text have no zero"),
         ({"dt": 0.0}, "dt should be a time"),
