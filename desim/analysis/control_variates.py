@@ -39,11 +39,11 @@ often as those without a control. If no straight line fits and there are few pai
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import inf, nan, sqrt
+from math import inf, nan
 
 import numpy as np
 
-from desim.analysis.statistics import ROUNDING, Estimate, estimate, t_quantile
+from desim.analysis.statistics import ROUNDING, Estimate, combined_error, estimate, t_quantile
 from desim.config.arrays import Floats
 from desim.kernel.core.portable_math import inner_product
 
@@ -131,12 +131,10 @@ def control_variate(
         raise ValueError("the control does not vary")
     slopes, slope, explained = _slopes(y - plain.mean, x - paired_control.mean)
     corrected = estimate(y - slopes * (x - other_control.mean))
-    variances = corrected.standard_error**2, (slope * other_control.standard_error) ** 2
-    total = variances[0] + variances[1]
-    scale = variances[0] ** 2 / (len(y) - 2) + variances[1] ** 2 / (len(z) - 1)
-    freedom = total**2 / scale if scale else inf
+    errors = corrected.standard_error, abs(slope) * other_control.standard_error
+    error, freedom = combined_error(errors, (len(y) - 2, len(z) - 1))
     controls = len(x) + len(z)
-    return ControlledEstimate(corrected.mean, sqrt(total), len(y), plain, explained, slope, controls, freedom)
+    return ControlledEstimate(corrected.mean, error, len(y), plain, explained, slope, controls, freedom)
 
 
 def _slopes(y: Floats, x: Floats) -> tuple[Floats, float, float]:

@@ -18,7 +18,7 @@ In the last row, the probability of true is uniform in [0, 1]. The row before it
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import comb, floor, inf, log10, nan, sqrt
+from math import comb, floor, frexp, inf, ldexp, log10, nan, sqrt
 
 import numpy as np
 
@@ -27,6 +27,8 @@ from desim.config.number_texts import counted
 
 NORMAL_975 = 1.959963984540054
 """The 97.5 % quantile of the standard normal distribution."""
+MAX_EXPONENT = 250
+"""The exponent, of 2, up to which a float holds the fourth powers of numbers, and their sums."""
 ROUNDING = 8.0 * float(np.finfo(float).eps)
 """The largest spread of differences, relative to the values, that rounding causes."""
 
@@ -254,10 +256,23 @@ def independent(values: Sequence[float] | Floats, others: Sequence[float] | Floa
     difference = first.mean - second.mean
     if count < 2:
         return IndependentDifference(difference, nan, count)
-    parts = first.standard_error**2, second.standard_error**2
+    errors, freedoms = (first.standard_error, second.standard_error), (first.count - 1, second.count - 1)
+    error, freedom = combined_error(errors, freedoms)
+    return IndependentDifference(difference, error, count, freedom)
+
+
+def combined_error(errors: tuple[float, float], freedoms: tuple[int, int]) -> tuple[float, float]:
+    """Return the standard error of the sum of two independent estimates, and its degrees of freedom.
+
+    The degrees of freedom are Satterthwaite's. Errors whose fourth powers are beyond what a float holds, such as those
+    of a metric that is 1e100 for runs that fail, are divided by a power of two.
+    """
+    exponent = frexp(max(errors))[1]
+    exponent = exponent if abs(exponent) > MAX_EXPONENT else 0
+    parts = [ldexp(error, -exponent) ** 2 for error in errors]
     total = parts[0] + parts[1]
-    scale = parts[0] ** 2 / (first.count - 1) + parts[1] ** 2 / (second.count - 1)
-    return IndependentDifference(difference, sqrt(total), count, total**2 / scale if scale else inf)
+    scale = parts[0] ** 2 / freedoms[0] + parts[1] ** 2 / freedoms[1]
+    return ldexp(sqrt(total), exponent), total**2 / scale if scale else inf
 
 
 def wilson(successes: int, trials: int, confidence: float = 0.95) -> tuple[float, float]:

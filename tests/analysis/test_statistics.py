@@ -12,7 +12,7 @@ from scipy.special import betainc, stdtr
 
 from desim.analysis import looks, statistics
 from desim.analysis.looks import FIRST_LOOK, OTHERS
-from desim.analysis.statistics import differences, estimate, paired, wilson
+from desim.analysis.statistics import differences, estimate, independent, paired, wilson
 from desim.study.results.costs import Saving
 
 next_look = partial(looks.next_look, first_look=30)
@@ -356,6 +356,13 @@ def test_differences_that_are_all_equal_are_no_effect_if_there_are_few(count):
     equal = estimate([1.0] * count)
     assert [equal.excludes_0(level) for level in (0.95, 0.999)] == [count >= 6, count >= 11]
     assert not estimate([0.0] * count).excludes_0()
+
+
+@pytest.mark.parametrize("unit", [2.0**-480, 2.0**-300, 2.0**270, 2.0**500])
+def test_the_intervals_of_very_great_and_small_values_are_those_in_their_unit(unit):
+    first, second = np.array([1.0, 2.0, 4.0]), np.array([2.0, 5.0, 5.5, 7.0])
+    usual, scaled = independent(first, second), independent(unit * first, unit * second)
+    assert scaled.half_width == pytest.approx(unit * usual.half_width, rel=1e-12)
 
 
 def test_two_samples_that_are_equal_each_are_told_apart_if_there_are_enough():
