@@ -256,6 +256,8 @@ def test_two_stages_take_what_clark_and_yang_say():
         ({"zone": 0.0}, "zone should be positive"),
         ({"zone": float("nan")}, "zone should be positive"),
         ({"zone": float("inf")}, "zone should be positive"),
+        ({"zone": 1e-300}, r"zone should be from 1e-100 to 1e\+100 \(got 1e-300\)"),
+        ({"zone": 1e200}, r"zone should be from 1e-100 to 1e\+100 \(got 1e\+200\)"),
         ({"confidence": 0.5}, "between 1/2"),
         ({"confidence": 1.0}, "between 1/2"),
         ({"first": 1}, "first should be at least 2"),

@@ -34,6 +34,8 @@ from desim.config.arrays import Floats
 from desim.config.errors import ArgumentError
 from desim.config.python_numbers import real, whole
 
+MIN_ZONE, MAX_ZONE = 1e-100, 1e100
+"""The indifference zones whose squares, and variances in their unit, a float holds."""
 ENOUGH = ceil(NORMAL_975**2 * (1.0 - OTHERS) / OTHERS)
 """The number of samples, 73, after which two systems with the same difference in all samples have a variance of 0.
 
@@ -96,12 +98,14 @@ def check_zone(zone: float, unit: str = "") -> float:
     """Return the indifference zone as a `float`.
 
     Raises:
-        ValueError: if `zone` is not a positive number.
+        ValueError: if `zone` is not a positive number, or its square is beyond what a float holds.
     """
     zone = real(zone, "zone")
     if not 0.0 < zone < inf:
         meaning = f"the smallest difference of means that matters{f', {unit}' if unit else ''}"
         raise ArgumentError("zone", f"should be positive and finite: it is {meaning} (got {zone:g})")
+    if not MIN_ZONE <= zone <= MAX_ZONE:
+        raise ArgumentError("zone", f"should be from {MIN_ZONE:g} to {MAX_ZONE:g} (got {zone:g})")
     return zone
 
 
