@@ -114,6 +114,18 @@ def test_a_time_limit_that_is_caught_inside_its_block_can_be_pickled():
 
 
 @pytest.mark.slow
+def test_a_run_that_is_read_from_its_folder_can_be_copied(tmp_path):
+    """Its messages have bodies of types that are made when it is read."""
+    run_folder.write(
+        run(small(record={"messages": True}, announce={"dissemination": "gossip"}), 1), tmp_path, drawn=False
+    )
+    result = run_folder.read(tmp_path)
+    for again in copies_of(result):
+        assert lines(again) == lines(result)
+        assert [*map(repr, again.trace)] == [*map(repr, result.trace)]
+
+
+@pytest.mark.slow
 def test_all_that_a_user_may_hold_can_be_pickled_and_copied():
     for held in held_by_users():
         for again in copies_of(held):

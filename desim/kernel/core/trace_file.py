@@ -368,10 +368,16 @@ def _is_field_name(name: str) -> bool:
 
 @cache
 def _body_type(names: tuple[str, ...]) -> Callable[..., Any]:
-    """Return the named tuple type of bodies with these fields."""
+    """Return the named tuple type of bodies with these fields; its objects can be pickled, which its name cannot."""
     make: Any = namedtuple
-    kind: Callable[..., Any] = make("Body", names)
-    return kind
+    kind: Any = make("Body", names)
+    kind.__reduce__ = lambda body: (_restored_body, (names, tuple(body)))
+    return kind  # type: ignore[no-any-return]
+
+
+def _restored_body(names: tuple[str, ...], values: tuple[Any, ...]) -> Any:
+    """Return a body from its pickle."""
+    return _body_type(names)(*values)
 
 
 def _arrival(time: float | None) -> int:
