@@ -7,6 +7,7 @@ import numpy as np
 from desim.config.arrays import Points
 from desim.pursuit.motion.dead_reckoning import TrackSegment
 from desim.pursuit.motion.dynamics import Courses
+from desim.pursuit.motion.inertia import InertialKinematics
 from desim.pursuit.sensing.world_state import WorldState
 
 NUMBERS = "<c16"
@@ -43,7 +44,7 @@ class WorldFrame(NamedTuple):
 def frame_of(state: WorldState, obeyed: list[int]) -> WorldFrame:
     """Return the frame of the present state of a world."""
     players, everybody = state.players, range(state.size + state.evader_count)
-    courses = None if state.dynamics.is_simple else players.courses(everybody)
+    courses = players.courses(everybody) if isinstance(players, InertialKinematics) else None
     segments = [getattr(body.path, "last", None) for body in state.bodies]
     return WorldFrame(
         state.now,
