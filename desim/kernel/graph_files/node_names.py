@@ -27,7 +27,7 @@ class Numbering(NamedTuple):
     names: tuple[str, ...]
     """The name of each node by number; empty if the names are the numbers."""
     is_shifted: bool
-    """Whether the names are integers, but not the numbers."""
+    """Whether the names are integers other than the numbers."""
 
 
 def numbered(graph: "nx.Graph[Any]") -> Numbering:

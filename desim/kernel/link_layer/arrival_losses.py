@@ -63,7 +63,7 @@ class ArrivalLosses:
         Args:
             nodes: (k,) the receivers.
             times: the times of the arrivals, ns: now for all, or (k,).
-            flights: what arrives: one now, or (k,).
+            flights: the transmission that arrives at all of them now, or (k,).
         """
         causes: dict[int, Cause] = {}
         if self._transmitter is not None:

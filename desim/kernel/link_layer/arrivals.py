@@ -57,7 +57,7 @@ class KeptArrivals:
     def add(self, flight: Flight, nodes: list[int], times: list[int]) -> bool:
         """Keep the arrivals (times in ns) at some nodes; return whether all that are due should be decided now.
 
-        They should be each time that `MAX_KEPT` arrivals have been added.
+        That is the case whenever another `MAX_KEPT` arrivals have been added.
         """
         first, of_node = self.first, self._of_node
         # Two items of a flat list take less time and memory than a tuple.
@@ -246,7 +246,7 @@ class Arrivals:
         return isinstance(transmission.content, Record) or self._inboxes.can_wait(transmission.port)
 
     def _land(self, flight: Flight, nodes: list[int], *, is_only: bool) -> None:
-        """Deliver or lose a transmission at each of some nodes now; `is_only`: its event is the only one."""
+        """Deliver or lose a transmission at each of some nodes now; `is_only`: whether it has no other event."""
         now, transmission = self._env.now, flight.transmission
         content, receivers = transmission.content, transmission.receivers
         self._with_events -= len(nodes)

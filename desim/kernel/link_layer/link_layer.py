@@ -31,7 +31,7 @@ TransmissionListener = Callable[[Record | Message, int], object]
 """A function called when a transmission starts, with the content and its last arrival time, ns (`LOST` if none)."""
 FIRST_COPY = 1 << 40
 """The number of the first copy of a message that a fault makes. It is above the numbers of all transmissions, so that
-copies leave these numbers, on which random draws depend, as they are without the fault."""
+copies do not shift these numbers, on which random draws depend."""
 _new = tuple.__new__  # creates a named tuple in a third of the time
 
 
@@ -355,7 +355,7 @@ class MessageLog:
                 arrivals = iter(arrival)
                 times = [LOST if node in causes else next(arrivals) for node in receivers]
         if isinstance(content, Record):
-            # One time stands for all receivers, but for no receiver there is none.
+            # One time stands for all receivers; without receivers, the field is empty.
             arrivals_field = (times,) * bool(receivers) if isinstance(times, int) else tuple(times)
             broadcast = now, number, src, content.seq, tuple(receivers), arrivals_field, created, size, content.body
             self._trace.append_message(_new(Broadcast, broadcast))

@@ -186,7 +186,7 @@ class LinkSampler:
             drawn = self._latency(self._context(src, dst, now, size), self._latency_rng)
             delays = times_of(drawn, len(dst), self._latency)
         if overrides:
-            # A copy, because the buffer returns a view of its block, and a model one number for all receivers.
+            # A copy, because a buffer returns a view of its block, and a model may return one number for all receivers.
             delays = np.array(np.broadcast_to(delays, len(dst)))
             for k, model, context in self._own_links(overrides, src, dst, now, size):
                 delays[k] = times_of(model(context, self._override_latency_rng), 1, model).item()

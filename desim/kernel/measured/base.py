@@ -23,7 +23,7 @@ from desim.kernel.measured.measurements import Columns, Meaning, Measurements, U
 UNIT_AT_END = re.compile(r".*[_\s\[(](ms|us|ns|s|sec|min|h|%|pct|percent)[\])]?", re.IGNORECASE)
 """Matches the unit at the end of the name of a column, such as rtt_ms or time [s]."""
 MINIMA = re.compile(r".*[_\s]min", re.IGNORECASE)
-"""Matches the name of a column of minima, such as rtt_min: of all columns, only times are in minutes."""
+"""Matches the name of a column of minima, such as rtt_min; min means minutes only in a column of times."""
 Name = Annotated[str, Field(min_length=1)]
 SHOWN = 20
 """Number of names in a warning."""
@@ -51,7 +51,7 @@ class NamedTable(Value):
         raise NotImplementedError
 
     def numbered(self, names: tuple[str, ...]) -> Self:
-        """Return the table with the numbers that a network gives to the names of its nodes; itself if it has them.
+        """Return the table with the numbers that a network gives to the names of its nodes; unchanged if it has these.
 
         Raises:
             ValueError: if it has a name that the network does not have.
@@ -90,8 +90,8 @@ class LinkTrace(NamedTable):
     between: Literal["hold", "linear"] = "hold"
     """The value between two measurements: hold, that of the earlier one; linear, interpolated."""
     after: Literal["repeat", "hold", "error"] = "repeat"
-    """Continuation after the last measurement. repeat: the first one, so that the trace is periodic; hold: its value;
-    error: a message that is sent then ends the run with an error."""
+    """Continuation after the last measurement. repeat: the first one again, so that the trace is periodic; hold: the
+    last value; error: a message that is sent then ends the run with an error."""
     start: Annotated[
         Annotated[Time, Tag("number")] | Annotated[Literal["random"], Tag("text")], in_forms("text", "number")
     ] = 0.0
@@ -144,7 +144,7 @@ class LinkTrace(NamedTable):
         return self
 
     def _units(self) -> list[tuple[str, str, str]]:
-        """Return key, column and unit for each key about a unit; a column whose name ends in another one is refused."""
+        """Return key, column and unit for each key about a unit; a column named by another unit is refused."""
         return [("time_unit", self.time, self.time_unit)]
 
     @property
@@ -202,8 +202,9 @@ class LinkTrace(NamedTable):
     def numbered(self, names: tuple[str, ...]) -> Self:
         """Return the trace with the numbers that a network gives to the names of its nodes.
 
-        The trace is returned unchanged if it numbers them so by itself, has `nodes`, or columns with numbers. But if
-        all names are numbers, as in a graph of the nodes 1 .. n, then numbers in the columns are names, too.
+        The trace is returned unchanged if it gives the same numbers by itself, has `nodes`, or has columns with
+        numbers. But if all names are numbers, as in a graph of the nodes 1 .. n, then numbers in the columns are names,
+        too.
 
         Raises:
             ValueError: if the table has another name.

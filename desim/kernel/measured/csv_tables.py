@@ -98,7 +98,7 @@ def csv_text(path: Path, columns: Collection[str] | None, *, units: Collection[s
 
     Args:
         path: the file.
-        columns: the names of the columns of a Parquet file that are read, the cells of others being empty; None: all.
+        columns: the names of the columns of a Parquet file to read, the cells of others are empty; None: all.
         units: the units, "s" and "m", that comments may not contradict; see `check_comments`.
 
     Raises:

@@ -17,10 +17,10 @@ from desim.kernel.measured.ping import probes_of
 AMBIGUOUS = re.compile(
     r"[+-]?(\d*,\d+|\d{1,3}(,\d{3})+(\.\d*)?|\d{1,3}(\.\d{3})+,\d+)(e[+-]?\d+)?", re.ASCII | re.IGNORECASE
 )
-"""Matches a word that is one number with a decimal comma, or with separators of thousands, or several numbers."""
+"""Matches a word that may be several numbers, or one with a decimal comma or separators of thousands."""
 INF = float("inf")
 PAIRS_OF_3 = [{frozenset((first + i, first + j)) for i, j in ((0, 1), (0, 2), (1, 2))} for first in (0, 1)]
-"""The pairs of three nodes; a list of as many lines of three numbers looks like a matrix."""
+"""The pairs of the nodes 0 to 2, and of 1 to 3: a list of such pairs with latencies looks like a 3 x 3 matrix."""
 
 
 def latencies_of(file: Path) -> list[float]:
@@ -84,7 +84,7 @@ def names_beside(rows: Sequence[Sequence[str]]) -> tuple[str, ...]:
 
     The first cell is empty or a text. Names may be numbers only if they are different integers. The first cell is also
     empty in a matrix without names that lacks its diagonal. In a matrix that lacks the diagonal, numbers are therefore
-    names only if they are 0 .. n - 1: as values, they would have a 0 beside the diagonal.
+    names only if they are 0 .. n - 1: as values, they would have a latency of 0 beside the diagonal.
 
     Raises:
         UnclearNamesError: if the first line and the first column may also be numbers of a symmetric matrix.
@@ -138,7 +138,7 @@ def matrix_of(file: Path, *, unit_is_given: bool = False) -> NamedMatrix:
 
     Args:
         file: the file.
-        unit_is_given: whether the caller knows the unit; if not, comments may name no other than s.
+        unit_is_given: whether the caller knows the unit; if not, comments may name no unit but s.
 
     Raises:
         ValueError: if the file cannot be read, is empty, has a cell that is not a number, or is no square.

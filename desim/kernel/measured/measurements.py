@@ -64,7 +64,7 @@ class Columns(NamedTuple):
 
     time: str
     src: str | None
-    """The sender; None, as is `dst`: the measurements hold for all links."""
+    """The sender. None: the measurements hold for all links, and `dst` is None, too."""
     dst: str | None
     value: str
 
@@ -106,13 +106,13 @@ class Measurements:
     rank: Integers
     """(R,) the index in `times` of the time of each row."""
     values: Floats
-    """(R,) the values. A missing value is replaced by the last one before it of its link; before the first value, by
-    the last one of the link; if the link has no value, by 0."""
+    """(R,) the values. A missing value is replaced by the value before it on its link. Before the first value, it is
+    replaced by the last value of the link; on a link without values, by 0."""
     is_missing: Bools
     """(R,) whether the row has no value."""
     names: tuple[str, ...] | None = None
-    """The names of the nodes in the order of their numbers, if the cells have names and no order was given: in the
-    order of the table, by rows, and in a row the sender first."""
+    """The names of the nodes in the order of their numbers, if the cells have names and no order was given. The order
+    is then that of the rows, in each row the sender first."""
 
     @property
     def end(self) -> int:
@@ -148,7 +148,7 @@ def time_of(text: str, unit: Unit = "s") -> Decimal:
         return _seconds_of_date(text.strip())
     if not is_plain(text):
         raise not_a_number(text)
-    # Shorter times in ns may have as many digits: 200 s have 12.
+    # Shorter times may have as many digits: 200 s in ns have 12.
     if abs(seconds) >= LAST_TIME and (match := COMPACT_TIME.fullmatch(text)):
         year, month, day, hour, minute, second = match.groups()
         date = f"{year}-{month}-{day}T{hour}:{minute}:{second or '00'}"
@@ -161,7 +161,7 @@ def time_of(text: str, unit: Unit = "s") -> Decimal:
 def clock_unit(text: str) -> Unit:
     """Return the unit of a number that counts from 1970, which follows from its size; s for any other text.
 
-    Between the years 2001 and 2128, each number is such a time in one of the units at most.
+    A number is a time between the years 2001 and 2128 in at most one of the units.
     """
     try:
         number = number_of(text)

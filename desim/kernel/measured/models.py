@@ -78,7 +78,7 @@ class LatencyTrace(LinkTrace):
         return PlayedLatencies(self)
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> float | Floats:
-        """Return the latency of each link, (k,), or one for all, s; one that is missing is that of the row before."""
+        """Return the latency of each link, (k,), or one for all, s; if it is missing, that of the row before."""
         return PlayedLatencies(self)(context, rng)
 
 

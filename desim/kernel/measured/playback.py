@@ -26,8 +26,8 @@ class Playback:
     """A trace in one run.
 
     Its rows are those of the table and two more for each link, at time 0 and at the end of the trace, so that every
-    message is sent between two rows of its link. With T distinct times in the table, the key of a row is the number of
-    its link times T + 1, plus the rank of its time, so that one binary search finds the rows of all receivers.
+    message is sent between two rows of its link. With T distinct times in the table, the key of a row is (T + 1) *
+    (number of its link) + (rank of its time). One binary search for keys finds the rows of all receivers.
 
     Args:
         trace: the trace.

@@ -30,7 +30,7 @@ class Channel(NamedTuple):
     hidden: float
     """The same time if the senders do not hear each other, s."""
     chance: float = 1.0
-    """Probability that two frames that could overlap do."""
+    """Probability that two frames whose starts are that close overlap."""
 
 
 def _slots_of(time: float, slot: float) -> int:
@@ -83,8 +83,8 @@ class SlottedAloha(_Access):
 
     A node starts to transmit at the beginning of a slot only. In each slot it transmits a waiting frame with
     probability p. A frame that is longer than a slot extends into the following slots. Nodes read the slots from their
-    own clocks: if half of them are half a slot off, a frame overlaps with two slots of these, and the throughput at a
-    load of one frame per slot is e^(-3/2) instead of e^(-1). A fast clock shortens the slots of its node.
+    own clocks. If half of the nodes are half a slot off, a frame overlaps two slots of theirs: at a load of one frame
+    per slot, the throughput is e^(-3/2) instead of e^(-1). A fast clock shortens the slots of its node.
     """
 
     kind: Literal["slotted_aloha"] = "slotted_aloha"
@@ -97,8 +97,8 @@ class SlottedAloha(_Access):
     p: Annotated[float, Field(gt=0, le=1, strict=True)] = 1.0
     """Probability of transmitting in a slot, in (0, 1].
 
-    If in doubt, 1 / (number of nodes that have a frame at once): more nodes per slot collide at each attempt, fewer
-    leave slots empty.
+    If in doubt, 1 / (number of nodes that have a frame at once): a larger p causes collisions, a smaller one leaves
+    slots empty.
     """
 
     def occupancy(self, airtime: float, *, to_one: bool) -> float:
@@ -142,8 +142,8 @@ class Csma(CarrierSensing):
     backoff: Period = 0.01
     """Mean of the exponential time until a nonpersistent node senses a busy channel again, s.
 
-    If in doubt, the airtime of a frame times the number of nodes: with less, nodes meet again at once, with more, the
-    channel is idle.
+    If in doubt, the airtime of a frame times the number of nodes: with a shorter time, waiting nodes often collide; a
+    longer one leaves the channel idle.
     """
     attempts: Annotated[Limit, Field(ge=1)] = inf
     """Number of times a nonpersistent node senses a busy channel before it drops the frame; inf = unlimited.
@@ -180,14 +180,14 @@ class CsmaCa(CarrierSensing):
 
     A node transmits after the channel has been idle for DIFS and a random number of slots. While it senses a frame, it
     keeps the number of slots that are left. After each frame it draws a new number. Broadcasts are not acknowledged.
-    Messages to one node are acknowledged. If such a frame is lost, the node doubles its window, draws a new back-off
-    and transmits the frame again. Not modelled: RTS/CTS.
+    Messages to one node are acknowledged. If the frame of such a message is lost, the sender doubles its window, draws
+    a new back-off and transmits the frame again. Not modelled: RTS/CTS.
 
     By default acknowledgements are always received, and a sender knows of a loss at the end of its frame. With
     `ack_timeout`, an acknowledgement is a frame that can collide, fade or be lost as any other. A sender that misses it
-    transmits the frame again, which its receiver delivers once. A node that receives a frame for another one is silent
-    until the end of that frame's acknowledgement (network allocation vector). With `eifs`, a node that senses a frame
-    without receiving it is silent for long enough not to disturb the acknowledgement of the frame.
+    transmits the frame again; the receiver delivers it only once. A node that receives a frame for another one is
+    silent until the end of that frame's acknowledgement (network allocation vector). With `eifs`, a node that senses a
+    frame without receiving it is silent for long enough not to disturb the acknowledgement of the frame.
 
     The default times are those of 802.11g without protection.
     """
@@ -202,7 +202,7 @@ class CsmaCa(CarrierSensing):
     window: ContentionWindow = 16
     """Smallest contention window W: the number of slots is uniform on 0 .. W - 1.
 
-    If in doubt, 16, or, for broadcasts, which never double it, about twice the number of nodes that have a frame at
+    If in doubt, 16. Broadcasts never double the window: for them, about twice the number of nodes that have a frame at
     once.
     """
     doublings: Annotated[int, Field(ge=0, le=16, strict=True)] = 6
@@ -273,7 +273,7 @@ class Tdma(_Access):
     correction plus the drift until the next one.
     """
     slots: Annotated[tuple[Node, ...], FirstError(), NotEmpty()] | None = None
-    """The owners of the slots, which are repeated; if None, the nodes take turns by id."""
+    """The owners of the slots of one round, which is repeated; if None, the nodes take turns by id."""
 
     @model_validator(mode="after")
     def _has_room(self) -> Self:

@@ -43,22 +43,23 @@ class Coherence(Value):
     """Carrier frequency f, Hz; fading changes as a node moves by a part of the wavelength c / f.
 
     A node with speed v meets the Doppler frequency f_d = v f / c, and the complex gain has the autocorrelation J0(2 pi
-    f_d t) (Clarke 1968). If both nodes move it is the product of theirs (Akki & Haber 1986, "A Statistical Model of
-    Mobile-to-Mobile Land Communication Channel"). 2.4e9 is that of Wi-Fi, 868e6 of LoRa in Europe. None: fading does
-    not depend on positions.
+    f_d t) (Clarke 1968). If both nodes move, the autocorrelation is the product of both (Akki & Haber 1986, "A
+    Statistical Model of Mobile-to-Mobile Land Communication Channel"). 2.4e9 is that of Wi-Fi, 868e6 of LoRa in Europe.
+    None: fading does not depend on positions.
     """
     doppler: Annotated[float, Field(gt=0, le=1e6, strict=True)] | None = None
     """Doppler frequency f_d, Hz, due to what moves around the nodes, in addition to that of their own motion.
 
-    If in doubt, 1 to 5 among people and vehicles; None: at rest, and nodes that do not move keep their fade.
+    If in doubt, 1 to 5 among people and vehicles; None: the surroundings are at rest, and nodes that do not move keep
+    their fade.
     """
     decorrelation: Length | None = None
     """Decorrelation distance d of the shadowing, m.
 
     Its autocorrelation is exp(-|dx| / d) if one node of a link moves by dx (Gudmundson 1991), and
-    exp(-(|dx| + |dy|) / d) if its nodes move by dx and dy (Wang, Tameh & Nix 2008, "Joint Shadowing Process in Urban
-    Peer-to-Peer Radio Channels"). If both move, the simulated one is off by up to 0.02 in the mean over the seeds,
-    and by up to 0.14 with 8 `waves`.
+    exp(-(|dx| + |dy|) / d) if its nodes move by dx and dy (Wang, Tameh & Nix 2008, "Joint Shadowing Process in Urban Peer-to-Peer Radio
+    Channels"). If both move, the simulated autocorrelation is off by up to 0.02 in the mean over the seeds, and by up
+    to 0.14 with 8 `waves`.
 
     If in doubt, 5 indoors and 20 in the open.
     """
@@ -76,7 +77,7 @@ class Coherence(Value):
     The distribution function of the power of Rayleigh fading is wrong by at most 0.12 / n, and deep fades are too rare
     by the share 1 / (2 n); the cost grows with n.
 
-    If in doubt, 64, for 0.2 % and 0.8 %.
+    If in doubt, 64: these errors are then 0.2 % and 0.8 %.
     """
 
     def lacks(self, variation: Variation) -> str:

@@ -1,8 +1,8 @@
 """Fading: the distribution of the power of a frame about its mean, from the paths over which a wave arrives.
 
 Nakagami (1960, "The m-Distribution"): the power divided by its mean is gamma distributed with shape m and mean 1.
-Rice: one path of constant power and many others. K is the ratio of the power of the one and that of all others. m = 1
-and K = 0 are Rayleigh fading; for large m and K there is none.
+Rice: one path of constant power and many others. K is the ratio of the power of that path to that of all others.
+m = 1 and K = 0 are Rayleigh fading; for large m and K there is none.
 """
 
 import math
@@ -51,7 +51,7 @@ def rice_survival(k: float, ratios: Floats) -> Floats:
 
 @lru_cache(maxsize=16)
 def _poisson(mean: float) -> tuple[Floats, Floats]:
-    """Return (n, 1) numbers, all within 9 standard deviations and 20 of the mean, and their Poisson probabilities."""
+    """Return the (n, 1) integers within 9 standard deviations + 20 of the mean, and their Poisson probabilities."""
     reach = 9.0 * math.sqrt(mean) + 20.0
     numbers = range(max(math.floor(mean - reach), 0), math.ceil(mean + reach))
     weights = [math.exp(n * math.log(mean) - mean - math.lgamma(n + 1)) if mean else float(n == 0) for n in numbers]

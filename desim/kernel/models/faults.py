@@ -89,9 +89,9 @@ class FaultSite(Protocol):
         """Lose, delay or copy messages that are sent from now on, as `delays(src, receivers, body)` says.
 
         `delays` is called once for each broadcast, and once for each message to one node. It returns the extra delay,
-        s, at each receiver that is concerned; inf: the message is lost there. Several delays, such as (0.0, 0.5), are
-        those of the message and of its copies, each relative to the arrival without the fault. A lost message has no
-        copies. A finite delay is limited to `MAX_TIME`, as each latency is.
+        s, at each receiver that the fault affects; inf: the message is lost there. Several delays, such as (0.0, 0.5),
+        are those of the message and of its copies, each relative to the arrival without the fault. A lost message has
+        no copies. A finite delay is limited to `MAX_TIME`, as each latency is.
         """
 
 
@@ -155,11 +155,11 @@ class Fault(Window):
     """
 
     breaks: ClassVar[frozenset[str]] = frozenset()
-    """The assumptions of protocols (`assumes`) that it breaks."""
+    """The assumptions of protocols (`assumes`) that the fault breaks."""
 
     @property
     def messages_only(self) -> bool:
-        """Whether it only loses or delays messages, and no robot breaks down."""
+        """Whether the fault only loses or delays messages, and no robot breaks down."""
         return True
 
     def begin(self, site: FaultSite) -> Undo:

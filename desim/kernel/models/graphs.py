@@ -146,7 +146,7 @@ class Edges(Value):
     nodes: Annotated[int, Field(ge=1, strict=True)] | None = None
     """Number of nodes; if absent, that of the network."""
     directed: Flag = False
-    """Whether edges are one-way. With a file, only for lists and matrices, which do not state it."""
+    """Whether edges are one-way. With a file, only for lists and matrices: all other formats state it themselves."""
     names: tuple[str, ...] = ()
     """The name of each node, by its number, if the file has names; `desim check` shows them."""
 

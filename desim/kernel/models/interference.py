@@ -51,8 +51,8 @@ ISOLATION = {
         (-25, -25, -25, -24, -23, 1),
     ),
 }
-"""Smallest ratio of the powers of a frame and another with which the frame is received, dB. Rows are the spreading
-factors of the frame, 7 to 12, columns those of the other. The diagonals are not used."""
+"""Smallest ratio of the power of a frame to that of an overlapping one at which the frame is received, dB. Rows are the
+spreading factors of the frame, 7 to 12, columns those of the overlapping one. The diagonals are not used."""
 
 
 class LoRaSignal(NamedTuple):
@@ -114,8 +114,8 @@ class Overlap(NamedTuple):
     signal: Callable[[Frame], LoRaSignal]
     """Returns the parameters of a LoRa frame; only for a medium of this kind."""
     channel: Callable[[Frame], ChannelState] = unknown_channel
-    """Returns the states of the channels from the sender of the frame to the receivers. Only if `fading` of the network
-    is "correlated", they also have `normals`; their shadowing is always defined."""
+    """Returns the states of the channels from the sender of the frame to the receivers. The states always have
+    `shadowing`, and `normals` only if `fading` of the network is "correlated"."""
     is_correlated: bool = False
     """Whether fading follows from `channel`; if not, it follows from `uniforms`."""
 
@@ -149,7 +149,7 @@ class Faded(Value):
     m: Shape = 1.0
     """Shape m of Nakagami fading, at least 0.5: 1 is Rayleigh fading."""
     k: RiceFactor = 3.0
-    """Ratio K of the power of the strong path of Rice fading and of all others, not in dB: 0 is Rayleigh fading."""
+    """Ratio K of the power of the strong path of Rice fading to that of all others, not in dB: 0 is Rayleigh fading."""
     shadowing: Annotated[float, Field(ge=0, le=100, strict=True)] = 0.0
     """Standard deviation of the shadowing of the power, dB, drawn as `network.fading` says: once per pair of nodes, for
     each frame, or correlated; 0: none.

@@ -54,7 +54,7 @@ class Processing(Value):
 
 
 def _completed(value: Any, preset: Any) -> Any:
-    """Return a table of a user completed by that of a preset: missing keys are filled in, in the tables in it, too.
+    """Return a user's table with its missing keys, and those of its inner tables, filled in from a preset.
 
     A value that is not a table, or has another kind than the preset, is returned unchanged.
     """
@@ -120,8 +120,7 @@ class Links(Value):
     def delays_start(self) -> bool:
         """Whether a transmission starts only after the processing delay of its sender.
 
-        It need not if the delay is constant and the medium has no queues: the delay is then added to that of the
-        receiver.
+        It need not wait if the delay is constant and the medium has no queues: the receiver's delay then includes it.
 
         Kept equal to a delay before the queue by
         `tests/kernel/test_hosts.py::test_a_constant_delay_is_that_of_a_model_that_always_draws_it`.
@@ -192,7 +191,7 @@ class Links(Value):
         return self
 
     def make_graph(self, size: int) -> Any:
-        """Return the communication graph of a number of nodes, from a graph model that is as it was at the start.
+        """Return the communication graph of a number of nodes, made by a fresh copy of the graph model.
 
         Raises:
             ValueError: if the model does not return a simple graph of this size, or an edge attribute is invalid.

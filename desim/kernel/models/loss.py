@@ -74,8 +74,8 @@ class GilbertElliott(Value):
     burst: Positive = 5.0
     """Mean duration of a bad period, in messages of the link, or in s if the state advances with time.
 
-    If in doubt, as long as what a protocol should outlast, such as a few heartbeats; a burst that is shorter than the
-    time between two messages is no burst to the protocol.
+    If in doubt, the longest outage that the protocol should survive, such as a few heartbeats. A burst that is shorter
+    than the time between two messages loses one message at most.
     """
     advance: Literal["message", "time"] = "message"
     """Whether the state of a link advances with every message on it, or with time, whether it is used or not."""
@@ -87,7 +87,8 @@ class GilbertElliott(Value):
     """Correlation of the states of two links with a node in common, such as those to two receivers of a broadcast;
     only if the state advances with time.
 
-    A link is bad while its sender, its receiver or the link itself is, so `common` is a little less than 1/2 at most.
+    A link is bad while its sender, its receiver or the link itself is bad. This limits `common` to a little less than
+    1/2.
 
     If in doubt, 0.3 where robots drive into dead spots; 0: links are independent.
     """
@@ -124,7 +125,7 @@ class Bursts:
         self._rate = failure + recovery
         self._loss_good, self._loss_bad = model.loss_good, model.loss_bad
         self._loses_all = model.loss_good == 0.0 and model.loss_bad == 1.0
-        """Whether exactly the messages in the bad state are lost, so that each takes one random number."""
+        """Whether exactly the messages in the bad state are lost, so that each message takes one random number."""
         # The probabilities in `_rows` for a link that was good at its last message, and for one that was bad.
         self._after_good, self._after_bad = (0.0, 1.0) if self._in_time else (failure, 1.0 - recovery)
         self._rows: defaultdict[int, LinkMemory] = defaultdict(partial(LinkMemory, model.share))

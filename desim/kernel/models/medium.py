@@ -26,7 +26,7 @@ TUNING = 0.25
 MAX_BYTES = 255
 """Maximum payload of a LoRa frame, whose length field is one byte."""
 MANY = 0.5
-"""Share of overlapping frames, among those of one instant, from which on a warning is given."""
+"""A warning is given if at least this share of the frames of one instant overlap."""
 Overhead = Annotated[int, Field(ge=0, le=1_000_000, strict=True)]
 SpreadingFactor = Annotated[int, Field(ge=7, le=12, strict=True)]
 
@@ -58,8 +58,8 @@ class Radio(Value):
     """Whether a node cannot receive while it transmits. It has no effect on a shared channel. Nodes that contend
     (`access`) never receive while they transmit."""
     queue_limit: Limit = inf
-    """Maximum number of waiting messages per node, without the one that is transmitted or contends; beyond it the
-    oldest is dropped; inf = unlimited.
+    """Maximum number of waiting messages per node; inf = unlimited. The message that is transmitted or contends does
+    not count. If the queue is full, its oldest message is dropped.
 
     If in doubt, 1 for messages of which only the newest counts, else 100; with inf, an overloaded node sends ever older
     messages.
@@ -140,7 +140,7 @@ class Radio(Value):
 
 
 def contends(medium: Medium) -> TypeGuard[Radio]:
-    """Return whether nodes contend for the channel of a medium; with a user's medium, only if it is a `Radio`."""
+    """Return whether nodes contend for the channel of a medium; a user's medium must be a `Radio` for this."""
     return isinstance(medium, Radio) and medium.contends
 
 
@@ -203,8 +203,8 @@ class LoRa(Radio):
     """Carrier frequency of each node, Hz, for nodes that contend; if None, all are equal."""
     gateways: Annotated[tuple[Node, ...], FirstError()] | None = None
     """Nodes that hear all spreading factors and frequencies, for nodes that contend. Each other node has one radio: it
-    hears only frames with the spreading factor that it transmits with, and with its frequency, up to a quarter of the
-    bandwidth. It loses other frames ("tuning"). If None, all nodes are gateways."""
+    hears only frames with its own spreading factor and a frequency within a quarter of the bandwidth of its own. It
+    loses other frames ("tuning"). If None, all nodes are gateways."""
     bandwidth: Annotated[float, Field(ge=1, le=1e9, strict=True)] = 125_000.0
     """Hz"""
     coding_rate: Annotated[int, Field(ge=1, le=4, strict=True)] = 1

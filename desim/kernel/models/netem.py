@@ -26,9 +26,9 @@ class Netem(Value):
     """The latency of `tc netem delay TIME JITTER CORRELATION distribution NAME reorder PERCENT CORRELATION gap N`.
 
     A message is delayed by `delay` + `jitter` t[U] / 8192, at least 0, where t is a table, mostly of 4096 numbers, and
-    U is random; without a table, uniformly between `delay` - `jitter` and `delay` + `jitter`. A reordered message is
-    not delayed at all (Hemminger 2005, "Network Emulation with NetEm"; Linux, net/sched/sch_netem.c). Linux draws for
-    each queueing discipline, this model for each link.
+    U is random. Without a table, the delay is uniform between `delay` - `jitter` and `delay` + `jitter`. A reordered
+    message is not delayed at all (Hemminger 2005, "Network Emulation with NetEm"; Linux, net/sched/sch_netem.c). Linux
+    keeps the last random numbers of each queueing discipline, this model those of each link.
     """
 
     kind: Literal["netem"] = "netem"

@@ -206,7 +206,7 @@ class Rice(Value):
     varies: ClassVar[tuple[Variation, ...]] = ("fading",)
     kind: Literal["rice"] = "rice"
     k: RiceFactor = 3.0
-    """Ratio K of the power of the strong path and of all others, not in dB: 0 is Rayleigh fading.
+    """Ratio K of the power of the strong path to that of all others, not in dB: 0 is Rayleigh fading.
 
     If in doubt, 3; about 10 between aircraft in sight of each other.
     """

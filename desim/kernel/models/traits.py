@@ -54,7 +54,7 @@ class LinkTraits(Traits):
     def check(cls, value: Any) -> None:
         """Check the traits of a model, see `Traits.check`, and that `start_run` makes a model with its own methods.
 
-        If it makes another one, methods that the class of a user overrides, or wraps, would have no effect in a run.
+        If `start_run` made another model, methods that a user's class overrides or wraps would have no effect in a run.
         """
         super().check(value)
         kind: type = type(value)
@@ -95,7 +95,7 @@ def link_trait(model: Any, name: str) -> Any:
 def model_of_run(model: Any, size: int) -> Any:
     """Return the model of one run: a stateful model starts with fresh state, any other is returned unchanged.
 
-    If a user's class overrides only a method that the inherited `__call__` need not use, the model of the run uses it.
+    If a user's class overrides only `draw` or `quantile`, the model of the run draws with that method.
     """
     start_run = LinkTraits.of(model).start_run
     if start_run is not None:
@@ -111,7 +111,8 @@ def model_of_run(model: Any, size: int) -> Any:
         return model
     if (draw := LinkTraits.of(model).draw) is not None and _is_newer(kind, "draw", "__call__"):
         return _DrawnOnly(model, draw)
-    # A user's class that overrides only `quantile` means all draws: the inherited `__call__` may not use it.
+    # A user's class that overrides only `quantile` should change all draws, but the inherited `__call__` may not use
+    # it.
     drawing = [name for name in ("__call__", "draw") if positions(kind, name)]
     is_inherited = all(_is_newer(kind, "quantile", name) and is_ours(_definer(kind, name)) for name in drawing)
     if is_inherited and "__call__" in drawing and len(positions(kind, "quantile")) > 1:
@@ -160,7 +161,7 @@ class MediumTraits(Traits):
 
 
 class InterferenceTraits(Traits):
-    """The attributes of a model of interference, in addition to `__call__`; it must have the first two."""
+    """The attributes of a model of interference, in addition to `__call__`; a model must have the first two."""
 
     needs_positions: Flag = False
     """Whether it depends on the positions of nodes."""
@@ -206,8 +207,8 @@ class FaultTraits(Traits):
     breaks: frozenset[str] = frozenset()
     """The assumptions of protocols (`assumes`) that it breaks, such as "no_crashes"."""
     messages_only: Flag = False
-    """Whether it only loses or delays messages, so that a perfect network is without it; true for a `Fault` by
-    default."""
+    """Whether it only loses or delays messages, so that the comparison with a perfect network leaves it out; true for a
+    `Fault` by default."""
     is_scheduled: Annotated[Flag, Follows("begin", "separates")] = False
     """Whether its fields and the seed determine when it begins and what it does, so that the processes of a live run
     agree on it."""

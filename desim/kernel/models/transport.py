@@ -41,8 +41,8 @@ class Quality(Value):
     """The qualities that every transport has."""
 
     lifespan: Timeout = inf
-    """Time after its sending, s, from which on a message is neither transmitted nor delivered. The receiver compares
-    its own clock with the time stamp of the sender.
+    """Age of a message, s, from which on it is neither transmitted nor delivered. The receiver compares its own clock
+    with the time stamp of the sender.
 
     If in doubt, inf; where only fresh messages count, a few periods of sending.
     """
@@ -112,17 +112,17 @@ class Reliable(Quality):
     If in doubt, 2, as in TCP (RFC 6298): with 1, repetitions keep a crowded channel crowded.
     """
     max_timeout: Timeout = 1.0
-    """Largest time-out to which repetitions make it grow, s; a longer first time-out stays as it is.
+    """Largest time-out that `backoff` reaches, s; a longer first time-out stays as it is.
 
     If in doubt, 1: it bounds how long a receiver that is back in reach waits for its messages.
     """
     max_repeats: Annotated[Limit, AfterValidator(_whole)] = inf
-    """Largest number K of retransmissions of a message to a receiver, then it is given up; inf = unlimited.
+    """Largest number K of retransmissions of a message to a receiver; then the message is given up; inf = unlimited.
 
     If in doubt, inf: `keep_last` gives a message up when newer ones take its place. With keep_all, about 7.
     """
     window: SendWindow = 10
-    """Largest number of successive messages to a receiver of which the first is not acknowledged; 1 = stop-and-wait.
+    """Largest number of successive messages to a receiver from the first unacknowledged one on; 1 = stop-and-wait.
 
     If in doubt, 10; at least the number of messages that are sent in a round trip, else senders wait for
     acknowledgements.
