@@ -21,7 +21,7 @@ from desim.kernel.topology.correlated_channel import Ends, uncorrelated
 from desim.kernel.topology.topology import Topology
 
 FAR = 1e150
-"""Distance, m, that stands for an opaque wall: the power there is 0, and levels in dB have defined differences."""
+"""Distance, m, that stands for an opaque wall: the power there is 0, but levels in dB are finite."""
 
 
 class Air:

@@ -306,9 +306,9 @@ class Contention:
         Instant(self._env, end, Phase.DELIVERY).callbacks.append(lambda _: self._carrier.count(silent, -1))
 
     def _await(self, frame: Frame, item: Transmission, cause: Cause | None) -> None:
-        """Let a sender wait for the acknowledgement of its frame, which ends now; `cause` is that of its loss, or None.
+        """Let a sender wait for the acknowledgement of its frame, which ends now, given the cause of its loss, or None.
 
-        While it waits, it counts the channel as busy.
+        While the sender waits, it counts the channel as busy.
         """
         assert self._timeout is not None
         src = frame.src

@@ -22,7 +22,7 @@ class Transmitter:
     A transmission waits while its channel is busy, and then occupies the channel for its airtime. If a node has more
     than `queue_limit` waiting transmissions, its oldest is dropped.
 
-    Kept equal to a channel for which nobody else contends by
+    Kept equal to a channel for which no other node contends by
     `tests/kernel/test_access.py::test_a_node_that_transmits_alone_contends_as_it_transmits`.
 
     Args:
@@ -54,7 +54,7 @@ class Transmitter:
         self._airtime_of = airtimes(medium)
         self.channels = 1 if medium.shared else size
         # A shared channel serves the transmissions of all nodes in order, and a node with a full queue drops its oldest
-        # one. A waiting transmission is in the queue of its channel and in that of its node, so both are O(1).
+        # one. A waiting transmission is in the queue of its channel and in that of its node, so both actions are O(1).
         self._waiting: list[OrderedDict[int, Transmission]] = [OrderedDict() for _ in range(self.channels)]
         """The waiting transmissions of each channel, by number."""
         self._node_queues: list[deque[Transmission]] = [deque() for _ in range(size)]
@@ -108,7 +108,8 @@ class Transmitter:
             last: the latest end of a reception, ns.
         """
         by_node: dict[int, list[tuple[int, int]]] = {}
-        # A reception began at most the longest airtime before its end, and so did a transmission that overlaps it.
+        # A reception began at most the longest airtime before its end, and a transmission that overlaps it at most the
+        # longest airtime before the reception.
         since = bisect_left(self.recent, (first - 2 * self._longest_airtime,))
         for begin, end, node in islice(self.recent, since, None):
             if begin >= last:

@@ -57,9 +57,9 @@ class Coherence(Value):
     """Decorrelation distance d of the shadowing, m.
 
     Its autocorrelation is exp(-|dx| / d) if one node of a link moves by dx (Gudmundson 1991), and
-    exp(-(|dx| + |dy|) / d) if its nodes move by dx and dy (Wang, Tameh & Nix 2008, "Joint Shadowing Process in Urban Peer-to-Peer Radio
-    Channels"). If both move, the simulated autocorrelation is off by up to 0.02 in the mean over the seeds, and by up
-    to 0.14 with 8 `waves`.
+    exp(-(|dx| + |dy|) / d) if its nodes move by dx and dy (Wang, Tameh & Nix 2008, "Joint Shadowing Process in Urban
+    Peer-to-Peer Radio Channels"). If both move, the simulated autocorrelation is off by up to 0.02 in the mean over the
+    seeds, and by up to 0.14 with 8 `waves`.
 
     If in doubt, 5 indoors and 20 in the open.
     """

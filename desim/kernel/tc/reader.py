@@ -100,11 +100,11 @@ def _disciplines(script: Iterable[Command]) -> list[Command]:
 
 
 def _changed(before: Command, command: Command) -> Command:
-    """Return a command `change` or `replace`, with the options that it leaves in effect of the command before.
+    """Return a command `change` or `replace`, with the options of the command before that it leaves in effect.
 
     A `replace` changes an existing discipline, unless its handle differs (tc_modify_qdisc, net/sched/sch_api.c of
-    Linux). Options that are not given are reset, but for the table of a distribution, the rate, and the correlations if
-    none is given (netem_change, net/sched/sch_netem.c).
+    Linux). Options that are not given are reset, except the table of a distribution, the rate and, if no correlation is
+    given, the correlations (netem_change, net/sched/sch_netem.c).
 
     Raises:
         TcError: if correlations stay in effect.

@@ -66,7 +66,7 @@ NOTHING = frozenset({"true", ":", "set", "echo"})
 SET_UP = frozenset({"ip", "ifconfig", "modprobe", "sysctl"})
 """The commands that set up addresses and modules, unless they have one of the words in `ENDING`."""
 ENDING = frozenset({"down", "del", "delete", "flush"})
-"""Words with which such a command may end a link."""
+"""Words with which a command in `SET_UP` may end a link."""
 IP_OBJECTS = frozenset({"link", "addr", "address", "route", "neigh", "rule", "netns", "tuntap"})
 """What `ip` may set up by `add` or `set`."""
 _ASSIGNMENT = re.compile(r"(\w+)=(.*)", re.ASCII)

@@ -44,7 +44,7 @@ def script(links: Links, size: int, device: str = "eth0", walls: Sequence[Wall] 
 
     Raises:
         ValueError: if `links.link` names a link that is not in the graph, an edge attribute is invalid, or the name of
-            a device is.
+            a device is invalid.
     """
     writer = _Writer(links)
     lines = ["# on each node", writer.command(device, "network.", links.latency, links.loss, links.order)]
@@ -155,7 +155,7 @@ class _Writer:
         return name
 
     def _words(self, key: str, option: str, values: Words | None) -> Words:
-        """Return an option with its values; none if it has none (an empty list) or netem has no such model (None)."""
+        """Return an option with its values; no words if `values` is empty, or None because netem has no such model."""
         if values is None:
             self.missing.append((key, "netem has no such model"))
         return [option, *values] if values else []

@@ -30,9 +30,9 @@ from desim.kernel.models.coherence import LIGHT, ChannelState, Coherence
 STEPS = (0.0, 0.6180339887498949, 0.7548776662466927, 0.5698402909980532)
 """Steps of the lattice per point, by axis (Roberts 2018).
 
-For 2 axes 0.618, the reciprocal golden ratio; for 3 axes 0.755, that of 3 dimensions, and its square, 0.570. Axes 0, 1
-and 2 are the directions at both ends and the Doppler shifts of fading. For shadowing, axes 0 and 1 are the lengths and
-the directions of the waves at the first end, and axes 2 and 3 those at the other end.
+The step is 0.618 for 2 axes, the reciprocal golden ratio; for 3 axes, 0.755, the reciprocal plastic number, and its
+square, 0.570. Axes 0, 1 and 2 are the directions at both ends and the Doppler shifts of fading. For shadowing, axes 0
+and 1 are the lengths and the directions of the waves at the first end, and axes 2 and 3 those at the other end.
 """
 
 OF_NODE = "shadowing of a node"

@@ -100,7 +100,7 @@ class Expectation:
         priority: the priority of the event at which it is missed.
         span: returns the time, ns; it may change, as the clock of the node may wander.
         miss: called when the event has not happened for that time.
-        repeats: whether `miss` is called again each time that the time has passed once more without the event.
+        repeats: whether `miss` is called again after each further such time without the event.
     """
 
     def __init__(
