@@ -57,7 +57,7 @@ class TwoWay(Value):
     """Time between two requests of a node, s.
 
     If in doubt, choose it so that `interval` times `exchanges` times the drift is less than the variation of the
-    latency: over that time the clock drifts while the answers are collected.
+    latency: the clock drifts while the answers are collected.
     """
     exchanges: Annotated[int, Field(ge=1, le=1_000_000, strict=True)] = 8
     """Number m of answers that are averaged for a correction.
@@ -167,7 +167,7 @@ class Synchroniser:
                 self._use(node, self._asked[node].pop(body.number), body.received, self.answered.pop(body))
 
     def _use(self, node: int, sent: int, received: int, answered: int) -> None:
-        """Measure the offset of the reference from t1, t2 and t3; correct the clock by the mean of enough of them."""
+        """Measure the offset of the reference from t1, t2 and t3; correct the clock by the mean of enough offsets."""
         clock, offsets = self._clocks[node], self._offsets[node]
         # t1 and t4 are read without the correction, so that offsets measured before and after one can be averaged.
         offsets.append((received - sent + answered - clock.uncorrected) // 2)

@@ -161,7 +161,7 @@ def _order(names: Iterable[Any]) -> list[Any] | None:
     """Return the names by which a table has `COLUMNS`, in capitals or not; None if the table names no columns.
 
     Raises:
-        ValueError: if the table names columns, and one of `COLUMNS` is missing; by their order, they could be others.
+        ValueError: if the table names columns, and lacks one of `COLUMNS`: their order does not tell what they are.
     """
     by_column = {name.lower(): name for name in names if isinstance(name, str)}
     if missing := [column for column in COLUMNS if column not in by_column]:

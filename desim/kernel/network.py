@@ -154,17 +154,17 @@ class Network(ReceivingNodes):
     Args:
         env: the clock of the simulation.
         graph: the communication graph of the nodes 0 .. n - 1; see `desim.kernel.models.graphs.Edge` for edge
-        attributes.
+            attributes.
         links: the models of the links; an ideal network if None.
         seed: the seed of all random draws of the network.
         positions: returns the current (n, 2) positions, m, see `desim.kernel.core.positions`; required for a finite
-        range.
+            range.
         trace: receives the events of messages, if its `wants_messages` is true.
         fault_state: the active faults; None: the network has no faults.
         predicate: selects, by their bodies, the records that `matching` returns; if None, `matching` returns none.
         clocks: the clocks of the nodes, by which they find their TDMA slots; if empty, all show the true time.
         inboxes: creates the inboxes, given the clock and the number of nodes.
-        walls: walls, of which those that block radio weaken it.
+        walls: the walls; those that block radio weaken signals.
         link_layer: creates the link layer, which carries transmissions; its arguments are those of `LinkLayer`.
 
     Raises:
@@ -175,8 +175,8 @@ class Network(ReceivingNodes):
         topology: the links of the graph, and which of them are within range.
         estimates: estimates of the delays and the density of the network, for time-outs.
         accepted: number of calls of `publish` and `send` whose arguments were valid. A call that is not accepted raises
-            ValueError and changes no number and no draw. If an accepted call raises, a watcher or a model has: the
-            message may then be counted and not sent, and the network should not be used any more.
+            ValueError and changes no number and no draw. If an accepted call raises, the error is one of a watcher or a
+            model: the message may then be counted and not sent, and the network should not be used any more.
     """
 
     def __init__(
@@ -330,7 +330,7 @@ class Network(ReceivingNodes):
         self._link_layer.overhear(listener)
 
     def watch_losses(self, watch: Lose) -> None:
-        """Register a function to call with a transmission and the causes of its losses, by receiver, when counted.
+        """Register a function to call when losses are counted, with the transmission and their causes by receiver.
 
         A loss on arrival is counted at its time or, if nothing depends on it, when a later read or `settle` decides it.
         """

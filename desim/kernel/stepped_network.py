@@ -218,7 +218,7 @@ class SteppedNetwork:
             body: any object that can be copied. Each receiver gets a copy, unless it is immutable.
             port: a name by which the receiver tells kinds of messages apart.
             size: bytes; computed from the body if None, see `desim.kernel.core.message_size`. Over a medium without
-                airtime, a body of unknown size, such as a function, counts as none.
+                airtime, a body of unknown size, such as a function, counts 0 bytes.
             transport: the transport of the message, see `desim.kernel.models.transport`; None: that of the links.
 
         Raises:
@@ -268,7 +268,7 @@ class SteppedNetwork:
         """Let time pass, and return the messages of `send` that have arrived, in the order of their arrival.
 
         Each is returned by the step in which it arrives; the end of a step is part of the step. Messages that arrive at
-        one instant are in the order in which they were sent, then of their receivers.
+        one instant are in the order in which they were sent, then in that of their receivers.
 
         Args:
             dt: the duration, s; it is rounded to nanoseconds.
@@ -341,7 +341,8 @@ class SteppedNetwork:
     def lost(self) -> list[LostMessage]:
         """Return the messages and states that were lost in the last step, or between it and the step before.
 
-        They are in the order in which they were sent. The frames of a transport are not listed, since it repeats them.
+        They are in the order in which they were sent. The frames of a transport are not listed, because it may make up
+        for their loss.
         """
         self.check_usable()
         return [lost._replace(body=own_copy(lost.body)) for lost in self._lost]

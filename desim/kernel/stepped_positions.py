@@ -105,7 +105,7 @@ class SteppedPositions(PositionSource):
     def before_change(self, act: Callable[[], object]) -> None:
         """Register a function to call before the motion of a node changes: at the end of each step with motion.
 
-        The network registers one that decides the outcomes of the step while `at` still returns its positions.
+        The network registers a function that decides the outcomes of the step while `at` still returns its positions.
         """
         self._before_change.append(act)
 
@@ -114,7 +114,7 @@ class SteppedPositions(PositionSource):
         assert self._change is not None
         share = np.asarray((times - self._begin) / (self._end - self._begin))[..., np.newaxis]
         interpolated = self._first[nodes] + self._change[nodes] * share
-        # At the end, they are exactly those of the caller.
+        # At the end, the positions are exactly those of the caller.
         return np.asarray(np.where(share < 1.0, interpolated, self._last[nodes]))
 
     def _read(self, positions: Any) -> Floats:

@@ -152,8 +152,8 @@ class MessageCounts(NamedTuple):
     """Number of transmissions, regardless of the number of receivers.
 
     It may differ from the number of different `transmission` in `Broadcast` and `Sent`: a message to all neighbours of
-    a node that has none is transmitted and has no `Sent`; under `csma_ca` each attempt counts; and a copy that a fault
-    makes has a number, but is not transmitted.
+    a node without neighbours is transmitted and has no `Sent`; under `csma_ca` each attempt counts; and a copy that a
+    fault makes has a number, but is not transmitted.
     """
     bytes_sent: Count
     """Bytes of all transmissions, without headers added by the medium."""
@@ -312,7 +312,7 @@ class Trace:
         self._stop = stop
         self.wants_messages = messages or bool(self._watchers)
         self.is_taken = False
-        """Whether a `SteppedNetwork` has used it for an episode."""
+        """Whether a `SteppedNetwork` has used this trace for an episode."""
 
     def append(self, event: Event) -> None:
         """Store an event and pass it to the watchers."""

@@ -38,7 +38,7 @@ class LinkContext:
             return self.known_distances
         if self.positions is None:
             raise ValueError("a latency or loss model that depends on distance needs the positions of the nodes")
-        nodes = np.concatenate((self.dst, [self.src]))  # the sender last, so that one question has all positions
+        nodes = np.concatenate((self.dst, [self.src]))  # the sender last, so that one call returns all positions
         return distances_from(as_position_source(self.positions).of(nodes), -1)[:-1]
 
     def uniform(self, name: str, *, symmetric: bool = True) -> NDArray[np.float64]:

@@ -38,7 +38,8 @@ ATOMS = JSON_ATOMS | {
     *(PurePosixPath, PureWindowsPath, PosixPath, WindowsPath),
     *(set(np.sctypeDict.values()) - {np.void, np.object_}),
 }
-"""Types without parts whose objects never change. Objects of a type that is derived from one may have attributes."""
+"""Types without parts whose objects never change. Derived types do not count, because their objects may have
+attributes."""
 COMPARED = (int, float, complex, np.generic, tuple)
 """Types whose objects may equal an object of another one of these types, as 1 equals 1.0."""
 SHARED = (list, dict, set, bytearray, deque, np.ndarray)

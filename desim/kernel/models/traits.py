@@ -207,8 +207,8 @@ class FaultTraits(Traits):
     breaks: frozenset[str] = frozenset()
     """The assumptions of protocols (`assumes`) that it breaks, such as "no_crashes"."""
     messages_only: Flag = False
-    """Whether it only loses or delays messages, so that the comparison with a perfect network leaves it out; true for a
-    `Fault` by default."""
+    """Whether it only loses or delays messages, so that a run with a perfect network leaves it out; true for a `Fault`
+    by default."""
     is_scheduled: Annotated[Flag, Follows("begin", "separates")] = False
     """Whether its fields and the seed determine when it begins and what it does, so that the processes of a live run
     agree on it."""

@@ -64,7 +64,7 @@ class FaultState:
         """By number of a transmission whose arrivals are not scheduled yet: for each receiver at which an interception
         acts, the extra delay, s, and the cause of the loss if it is infinite."""
         self._copies: dict[int, list[tuple[int, float]]] = {}
-        """By number of such a transmission, for each copy: its receiver and extra delay, s."""
+        """By number of a transmission, as in `_intercepted`, for each copy: its receiver and extra delay, s."""
         self._before_change: list[Callable[[], object]] = []
 
     def plan(self, time: int) -> None:
@@ -161,7 +161,7 @@ class FaultState:
         return causes
 
     def jammed(self, nodes: list[int] | Integers, times: int | Integers) -> list[Cause | None] | None:
-        """Return (k,) causes: of a disc, jammed now, that contained the node at its time, None where there is none.
+        """Return (k,) causes: of a disc that is jammed now and contained the node at its time, None where no disc did.
 
         None instead of a list: no node is jammed. Of several discs, the first counts.
 

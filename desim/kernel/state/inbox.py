@@ -33,7 +33,7 @@ Letter = tuple[int, int, Message]
 MANY_IGNORED = 1000
 """Number of ignored messages above which those that have arrived are forgotten."""
 FEW = 16
-"""Ratio of all messages to new ones above which the new ones are few: they are inserted, and all are not sorted."""
+"""Ratio of all messages to new ones above which the new ones are inserted one by one, instead of sorting all."""
 
 
 class Inbox:
@@ -60,7 +60,7 @@ class Inbox:
         self._timer: Timer | None = None
         """Rings at the next arrival if a function takes the messages (`listen`)."""
         self._ignores: Callable[[Message], bool] | None = None
-        """Returns whether that function does nothing with a message; None: it takes all."""
+        """Returns whether the function given to `listen` does nothing with a message; None: it takes all."""
 
     def listen(
         self,
@@ -228,7 +228,7 @@ class Inboxes:
         of a mutable body.
         """
         boxes, copies, now = self.at(port), self.has_mutable and not is_immutable(message.body), self._env.now
-        # One letter for all receivers, if they differ in nothing.
+        # All receivers share one letter, if nothing in it differs between them.
         shared = None if copies or not isinstance(arrival, int) else (arrival, number, message)
         for node, when in zip(receivers, per_receiver(arrival, len(receivers)), strict=True):
             box = boxes[node]

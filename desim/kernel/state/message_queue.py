@@ -48,8 +48,8 @@ class MessageQueue(Inboxes):
     def take(self) -> list[QueuedMessage]:
         """Remove and return the messages that have arrived, in the order of arrival, transmission and receiver."""
         queue = self._queue
-        # Sorting is stable: if the queue is in the order of transmission, simultaneous messages stay in it, and times
-        # need be compared alone, which is three times as fast. What was in flight at the last `take` is sorted already.
+        # Sorting is stable: if the queue is in the order of transmission, simultaneous messages keep that order, so
+        # only times are compared, three times as fast. What was in flight at the last `take` is sorted already.
         queue.sort(key=_TIME if self._is_in_order else None)
         self._is_in_order = True
         end = bisect_left(queue, (self._env.now + 1,))

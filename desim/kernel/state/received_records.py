@@ -43,7 +43,8 @@ class Records:
 
     def expect_any_order(self) -> None:
         """From now on, accept records that are scheduled twice (the first arrival counts), or after a newer one."""
-        # Every node then compares what arrives, and no record is shared, which relies on the order of transmission.
+        # Every node then compares what arrives. No record is shared, because sharing relies on the order of
+        # transmission.
         self._own.relayed.update(range(self._size))
         self._all_but_one = -1
 

@@ -37,8 +37,8 @@ INHERITED = frozenset({"fill", "fill-opacity", "fill-rule", "stroke", "stroke-op
 """The properties that elements inherit."""
 MOVES = frozenset({"translate", "rotate", "scale"})
 PLACES = MOVES | {"transform", "transform-origin", "d", "x", "y", "width", "height", "rx", "ry"}
-"""The properties that say where an element is drawn; as attributes all but transform-origin are read, or have no
-effect."""
+"""The properties that say where an element is drawn; as attributes they are read, or have no effect; only
+transform-origin is refused."""
 PROPERTIES = INHERITED | PLACES | {"display", "opacity", "clip-path", "mask"}
 """The properties that say what is drawn."""
 DEFAULTS = frozenset({"inherit", "unset", "revert"})
