@@ -5,12 +5,12 @@ at t1 by its own clock. The reference receives it at t2 and answers at t3 by its
 
     offset of the reference = ((t2 - t1) + (t3 - t4)) / 2
 
-The error is half the difference of the two latencies: a constant for constant latencies, and for independent latencies
-of standard deviation s, averaged over m exchanges, a random number of standard deviation s / sqrt(2 m).
+The error is half the difference of the two latencies. For constant latencies it is constant. For independent latencies
+of standard deviation s, the mean error of m exchanges has the standard deviation s / sqrt(2 m).
 
 The messages travel over the links of the network, may be lost, and are never retransmitted, because a repetition would
 carry an old stamp. The radio reads t1 and t3 as a transmission begins (hardware time stamps, as in IEEE 1588), so that
-waiting for a busy channel or a slot adds no error; request and answer have the same size, and so the same airtime.
+waiting for a busy channel or a slot adds no error. Request and answer have the same size, and so the same airtime.
 """
 
 from collections.abc import Callable, Iterable, Sequence

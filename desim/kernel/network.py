@@ -266,11 +266,11 @@ class Network(ReceivingNodes):
     ) -> None:
         """Send a message to one node, or to all neighbours (None); its arrival wakes the processes that wait for it.
 
-        The message goes to the inbox of the receiver at `port`; `size` is as in `publish`. It is carried by a
-        transport, which may retransmit it (`desim.kernel.models.transport`); None: that of the links
-        (`Links.transport`). All messages at a port should have the same transport. With `only`, a message to all
-        neighbours is for the nodes in `only`: it is transmitted as any broadcast, and the other nodes ignore it. A
-        transport that does more than hand messages to the links sends it to each of these nodes instead.
+        The message goes to the inbox of the receiver at `port`; `size` is as in `publish`. `transport` carries the
+        message, and may retransmit it (`desim.kernel.models.transport`); None: that of the links (`Links.transport`).
+        All messages at a port should have the same transport. With `only`, a message to all neighbours is for the nodes
+        in `only`: it is transmitted as any broadcast, and the other nodes ignore it. A transport that does more than
+        hand messages to the links sends it to each of these nodes instead.
 
         Use `send` for requests, acknowledgements and tokens, where every message matters; use `publish` for state,
         where only the newest value matters. A transmission to a node that is not linked to the sender is lost, and so

@@ -130,7 +130,7 @@ class SteppedNetwork:
         trace: receives the events of messages and faults, and shows them to its watchers.
         horizon: the time until which plans draw faults, s.
         can_leave: whether nodes may `leave` and `join`. Every arrival is then decided when it is due, which is slower.
-        walls: walls, or tables `[[wall]]` as dicts; those that block radio weaken it.
+        walls: walls, or tables `[[wall]]` as dicts; those that block radio weaken signals.
 
     Raises:
         ValueError: if an argument is not valid, or arguments do not fit together.

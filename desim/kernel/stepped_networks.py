@@ -100,7 +100,8 @@ class SteppedNetworks:
     def latest(self) -> Floats:
         """Return the newest numbers that have arrived, (E, receivers, sources) or (E, receivers, sources, k).
 
-        Where none has arrived, and where receiver and source are the same node, they are nan. k is as in `publish`.
+        Where no number has arrived, and where receiver and source are the same node, they are nan. k is as in
+        `publish`.
         """
         tables = [[network.latest(node) for node in network.nodes] for network in self._networks]
         size = len(self._networks[0].nodes)

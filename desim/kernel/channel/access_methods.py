@@ -1,7 +1,7 @@
 """Access models in one run: they plan when each node senses the channel, and when it transmits.
 
-`access_method` returns the `AccessMethod` of a model. It plans the next action of each node in `Contenders.due`;
-`desim.kernel.channel.contention` performs the actions.
+`access_method` returns the `AccessMethod` of a model. The method plans the next action of each node in
+`Contenders.due`; `desim.kernel.channel.contention` performs the actions.
 """
 
 from collections.abc import Sequence

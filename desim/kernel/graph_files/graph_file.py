@@ -126,8 +126,8 @@ def _metis(file: Path, ending: str, text: str) -> "nx.Graph[Any] | None":
     """Return the graph in the format of METIS; None if the text is a list of edges.
 
     Raises:
-        ValueError: if the ending is one of METIS and the text begins like such a graph, but is none. If the ending is
-            of METIS only, also if the text does not begin so.
+        ValueError: if the ending is one of METIS, and the text begins like a graph of METIS but is invalid; or if the
+            ending belongs to METIS alone, and the text does not begin like one.
     """
     try:
         graph = read_metis(file, text)

@@ -65,7 +65,7 @@ def numbered(graph: "nx.Graph[Any]") -> Numbering:
 
 
 def _name(node: Any, number: int) -> str:
-    """Return the name of a node: its text; but if the text is an address, which differs by run, its type and number."""
+    """Return the name of a node: its text, or its type and number if the text has an address, which differs by run."""
     kind: Any = type(node)
     is_default = kind.__repr__ is object.__repr__ and kind.__str__ is object.__str__
     return f"{kind.__name__} {number}" if is_default else str(node)

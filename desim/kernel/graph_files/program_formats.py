@@ -39,7 +39,7 @@ def read_metis(file: Path, text: str) -> "nx.Graph[Any] | None":
         rows.pop()
     if len(rows) != size or not set(code) <= {"0", "1"} or len(code) > 3:
         return None
-    # The digits of the code: whether a line begins with the size of its node, then whether with weights of the node
+    # The digits of the code say whether a line begins with the size of its node, whether weights of the node follow
     # (one, or as many as the first line says), and whether each neighbour is followed by the weight of the edge.
     skipped = int(code[0]) + (int(head[3]) if len(head) > 3 else 1) * int(code[1])
     step = 2 if code[2] == "1" else 1

@@ -390,8 +390,8 @@ def _filled(values: Floats, first: Integers) -> tuple[Floats, Bools]:
     """Return the (R,) values with the missing ones filled in, and which were missing; see `Measurements.values`."""
     is_missing, rows = np.isnan(values), np.arange(len(values))
     start, counts = first[:-1], np.diff(first)
-    # One running maximum serves all links. Before the first value of a link, it is a row of an earlier link, less than
-    # `start`, and is replaced by the row of the last value of the link.
+    # One running maximum serves all links. Before the first value of a link, the maximum is a row of an earlier link,
+    # less than `start`, and is replaced by the row of the last value of the link.
     last_known = np.maximum.accumulate(np.where(is_missing, -1, rows))
     of_last_row = np.repeat(last_known[first[1:] - 1], counts)
     source = np.where(last_known < np.repeat(start, counts), of_last_row, last_known)

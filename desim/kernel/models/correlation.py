@@ -29,8 +29,8 @@ class LinkMemory:
         initial: the number of a link that has not been used.
 
     Attributes:
-        dst: the (k,) receivers of the last broadcast; None if their array is writeable, so that the same array need not
-            hold the same receivers later.
+        dst: the (k,) receivers of the last broadcast; None if their array is writeable, because it may hold other
+            receivers later.
         value: the (k,) numbers of these links.
         since: the times (s) of the last messages of these links, if the model sets them, (k,) or one for all; -inf:
             none.

@@ -311,8 +311,8 @@ class MessageFault(Fault):
     """The messages with given numbers are lost, arrive late, or arrive twice.
 
     A message to one node has one number; a broadcast has one for each receiver, in the order of the receivers. The
-    first message that is sent while the fault lasts has the number 1. In a run without chance, a number always names
-    the same message. Copies that a `message_fault` makes have no numbers.
+    first message that is sent while the fault lasts has the number 1. Without random draws, a number always names the
+    same message. Copies that a `message_fault` makes have no numbers.
     """
 
     kind: Literal["message_fault"] = "message_fault"

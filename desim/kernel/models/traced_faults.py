@@ -16,7 +16,7 @@ from desim.kernel.models.graphs import Node
 class Misbehaviour(Window):
     """A node does not follow its protocol; the network carries what it sends like any other message.
 
-    This record has no effect: a model of a higher layer (a lie) creates it, and misbehaves itself.
+    This record has no effect: a model of a higher layer (a lie) creates it, and causes the misbehaviour.
     """
 
     kind: Literal["misbehaviour"] = "misbehaviour"

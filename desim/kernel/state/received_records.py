@@ -239,7 +239,7 @@ class SharedTable:
                 if unreached or self._excepted:
                     self._except(record[0], unreached, stored)
                 self._store(timed)
-            else:  # the table has a newer record; nodes that it did not reach, the exceptions, may need this one
+            else:  # the table has a newer record; the nodes that the newer one did not reach may need this one
                 for node in self._excepted.get(record[0], ()):
                     exception = self.exceptions[node][record[0]]
                     if node not in unreached and (exception is None or exception[1][1] < record[1]):

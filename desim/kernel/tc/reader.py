@@ -187,7 +187,7 @@ def _bursts(p: float, r: float) -> TomlTable:
     """
     if r == 0.0:
         raise ValueError("loss: a link that is lost for ever is not modelled: its second value should be above 0%")
-    # The shortest numbers of which the same command is made, so that it is the same when it is printed again.
+    # The shortest numbers that give the same command, so that it stays the same when it is printed again.
     burst = shortest(1.0 / r, lambda burst: steps_of(1.0 / burst) == steps_of(r))
     odds = p * burst
     share = shortest(odds / (1.0 + odds), lambda share: share < 1.0 and steps_of(p_of(share, burst)) == steps_of(p))

@@ -3,7 +3,7 @@
 Paths, lines, polylines, polygons and rectangles are read, with transformations and inherited styles. A closed shape
 that has a fill is a ring. One without a fill is a line, and its inside is free, as that of a room in a floor plan. A
 line needs no stroke. Anything else that would be read otherwise than it looks is refused: hidden parts, curves, open
-shapes with a fill, solid shapes in others, and objects that others repeat.
+shapes with a fill, solid shapes in others, and repeated objects (<use>).
 """
 
 import re
@@ -42,7 +42,7 @@ transform-origin is refused."""
 PROPERTIES = INHERITED | PLACES | {"display", "opacity", "clip-path", "mask"}
 """The properties that say what is drawn."""
 DEFAULTS = frozenset({"inherit", "unset", "revert"})
-"""Values that stand for the one that an element has without the property."""
+"""Values with which a property is as if it were not given."""
 COMMENT = re.compile(r"/\*.*?(?:\*/|\Z)", re.DOTALL)
 XML_COMMENT = re.compile(r"<!--.*?(?:-->|\Z)", re.DOTALL)
 SELECTOR = re.compile(r"(\*|[\w-]+)?(?:([.#])([\w-]+))?")
@@ -118,7 +118,7 @@ def svg_file_outlines(text: str) -> list[Outline]:
 
 
 def _check_nesting(rings: list[_Drawn]) -> None:
-    """Raise ValueError unless rings in each other are filled and empty in turns, as those of a wall are."""
+    """Raise ValueError unless nested rings are filled and empty in turns, as those of a wall are."""
     if len(rings) < 2:
         return
     shapes = [WallShape(np.array(ring.outline.corners), closed=True) for ring in rings]
