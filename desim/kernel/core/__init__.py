@@ -1,4 +1,4 @@
 """Time, randomness and vocabulary of the kernel: clock, units, seeds, positions, records, events, message bodies.
 
-Everything above builds on it. A change here changes every trace, so compare the digests before and after.
+All other packages build on this one. A change here can change every trace, so compare the digests before and after.
 """

@@ -1,5 +1,5 @@
 """The models that a user writes under `[network]` and `[[fault]]`: graphs, latency, loss, reception, access, faults.
 
-All are immutable and callable, and none knows the state of a run. A new kind is one class in the module of its family;
-it changes no existing trace.
+All are immutable, and none has the state of a run. A new kind is one class in the module of its family; it changes no
+existing trace.
 """

@@ -102,7 +102,8 @@ class CommonBursts:
 def max_common(share: float) -> float:
     """Return the largest correlation of two links with a node in common that are bad for a share of the time.
 
-    It is reached if only nodes have bad periods. It is a little less than 1/2, because a link has two nodes.
+    It is reached if only nodes have bad periods. It is less than 1/2, because a link has two nodes, and falls with the
+    share.
     """
     return (math.sqrt(1.0 - share) - (1.0 - share)) / share if share else 0.5
 

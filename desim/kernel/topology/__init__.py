@@ -1,4 +1,4 @@
 """Which nodes are linked at an instant: the graph, the range check of moving nodes, and the search for close nodes.
 
-It is read at every transmission: measure the benchmarks of moving nodes before and after a change.
+The topology is read at every transmission: measure the benchmarks of moving nodes before and after a change.
 """

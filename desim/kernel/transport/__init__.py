@@ -1,4 +1,5 @@
 """Messages that must arrive: acknowledgements, retransmission, windows and duplicates, at both ends.
 
-It uses the network like any other caller. A change here changes only scenarios with a reliable transport.
+Its frames are messages on the links, like all others. A change here changes only scenarios whose transport is not plain
+best effort.
 """

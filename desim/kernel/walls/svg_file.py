@@ -2,8 +2,8 @@
 
 Paths, lines, polylines, polygons and rectangles are read, with transformations and inherited styles. A closed shape
 that has a fill is a ring. One without a fill is a line, and its inside is free, as that of a room in a floor plan. A
-line needs no stroke. Anything else that would be read otherwise than it looks is refused: hidden parts, curves, open
-shapes with a fill, solid shapes in others, and repeated objects (<use>).
+shape without a fill needs a stroke. Anything else that would be read otherwise than it looks is refused: hidden parts,
+curves, open shapes with a fill, solid shapes in others, and repeated objects (<use>).
 """
 
 import re
