@@ -4,10 +4,10 @@ A *record* holds the state of a node. A newer record of a node supersedes an old
 process. A record whose arrival is certain is stored at once, with its arrival time; `latest_records` ignores it until
 that time. A *message* stands for an event. Its arrival wakes the processes that wait at the inbox of the receiver.
 
-`publish` sends a record, and `send` a message. Both use the same links. SimPy events are used only to wait for a
-busy transmitter, to decide losses on arrival, and to wake processes. A read in the decision phase of an instant
-(`desim.kernel.core.clock.Phase`), or in a later phase, takes into account every arrival up to and including that
-instant.
+`publish` sends a record, and `send` a message. Both use the same links. SimPy events are used only to wait for a host,
+a transmitter or the channel, to decide losses on arrival, and to wake processes. A read in the decision phase of an
+instant (`desim.kernel.core.clock.Phase`), or in a later phase, takes into account every arrival up to and including
+that instant.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence

@@ -41,7 +41,7 @@ class Hosts:
         self._last = [0] * size
         """The time at which each node passes on its newest transmission, ns."""
         self._restarts = [0] * size
-        """Number of times that each node was flushed; events of earlier times have no effect."""
+        """Number of times that each node was flushed; events scheduled before the last flush have no effect."""
 
     def process(self, item: Transmission) -> None:
         """Pass a transmission on after its delay, and not before an earlier one of its sender."""

@@ -48,7 +48,7 @@ class KeptReceivers:
         return self._receivers[node]
 
     def until(self, node: int) -> float:
-        """Return the time, s, before which the receivers of a node that are kept are certain."""
+        """Return the time, s, before which the kept receivers of a node are certain."""
         return self._until[node]
 
     def is_worthwhile(self, node: int) -> bool:
