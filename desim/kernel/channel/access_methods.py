@@ -64,7 +64,7 @@ class AccessMethod:
         """Perform the planned actions of some nodes now (ns).
 
         Returns:
-            the nodes that start to transmit, and those that drop their frame; for all others a new action is planned.
+            the nodes that start to transmit, and those that drop their frame; all others have a new action planned.
         """
         return due, due[:0]
 

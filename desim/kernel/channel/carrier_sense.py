@@ -56,7 +56,7 @@ class CarrierSense:
     def listeners(self, node: int) -> Integers:
         """Return the nodes that sense the frames of a node.
 
-        Without a sensing delay the node itself is among them, so that one call of `count` updates all.
+        Without a sensing delay the node itself is among them, so that one call of `count` updates all nodes.
         """
         if not self._method.senses:
             return np.empty(0, dtype=np.int64)

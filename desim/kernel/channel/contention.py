@@ -62,7 +62,7 @@ class _Awaited:
     """An acknowledgement for which a sender waits."""
 
     item: Transmission | None
-    """The transmission to be acknowledged; None: its sender has crashed, so it is lost already."""
+    """The transmission to be acknowledged; None: its sender has crashed, so the transmission is lost already."""
     cause: Cause
     """The cause of the loss if no acknowledgement comes."""
 
@@ -99,7 +99,8 @@ class Contention:
         self._draws = count(FIRST_DRAW)
         self._queues: list[deque[Transmission]] = [deque() for _ in range(topology.size)]
         self._sending: dict[int, Transmission | None] = {}
-        """The transmission that each node has on the air; None: its sender has crashed, so it is lost already."""
+        """The transmission that each node has on the air; None: the node has crashed, so its transmission is lost
+        already."""
         self._repeated: set[int] = set()
         """The numbers of the transmissions of which an attempt has failed."""
         timeout, eifs = (None, None) if csma_ca is None else (csma_ca.ack_timeout, csma_ca.eifs)
@@ -290,7 +291,7 @@ class Contention:
     # Acknowledgements that can be lost.
 
     def _note(self, frame: Frame) -> None:
-        """Let the nodes that sense a frame that ends now note whether they receive it.
+        """Let the nodes that sense a frame note, at its end, whether they receive it.
 
         Those that receive a frame to be acknowledged by another node are silent until the end of the acknowledgement.
         """

@@ -135,7 +135,7 @@ class TraceFile:
         )
 
     def _write(self) -> None:
-        """Write the events of the block; if one raises, those before it are written, and those after it are not."""
+        """Write the events of the block; if one cannot be written, only the events before it are written."""
         block, self._block = self._block, []
         self._file.writelines(map(line_of, block))
 

@@ -51,7 +51,7 @@ class NamedTable(Value):
         raise NotImplementedError
 
     def numbered(self, names: tuple[str, ...]) -> Self:
-        """Return the table with the numbers that a network gives to the names of its nodes; unchanged if it has these.
+        """Return the table numbered as a network numbers the names of its nodes; unchanged if it is numbered so.
 
         Raises:
             ValueError: if it has a name that the network does not have.

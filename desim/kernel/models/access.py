@@ -1,4 +1,4 @@
-"""Models of channel access: when a node that has a frame to send may transmit it on a channel that others use, too.
+"""Models of channel access: when a node may transmit a frame on a channel that it shares with other nodes.
 
 A model is immutable. `desim.kernel.channel.access_methods` has its state in one run.
 

@@ -65,8 +65,9 @@ class FaultSite(Protocol):
     def crash(self, crash: "Crash") -> Undo:
         """Take a node down; the trace records the crash, so that metrics and pages know which nodes are down.
 
-        Losses by the crash have the `cause` of this fault; with `begin(crash)`, they would have that of the crash if it
-        has one. `start` and `end` of the crash have no effect: it lasts until the returned function is called.
+        Losses by the crash have the `cause` of this fault; with `begin(crash)`, they would have the cause of the crash
+        if the crash has one. `start` and `end` of the crash have no effect: it lasts until the returned function is
+        called.
 
         Raises:
             ValueError: if the node does not exist.
