@@ -97,12 +97,12 @@ def keys(key: str | None) -> None:
 def _similar_keys(word: str) -> list[str]:
     """Return the outermost keys of scenarios whose last part is a word or its synonym, or else is similar."""
     from desim.config.key_index import homes_of
-    from desim.config.key_suggestions import WORDS_FOR_KEYS, as_key
+    from desim.config.key_suggestions import WORDS_FOR_KEYS, spelled_as_key
     from desim.scenario.scenario import Scenario
 
     if word == "kind":  # selects a model, and is not described: the error lists the kinds
         return []
-    word = as_key(word)
+    word = spelled_as_key(word)
     matches = homes_of(word, Scenario)
     if word in WORDS_FOR_KEYS and all(match.place[-1] != word for match in matches):
         matches = homes_of(WORDS_FOR_KEYS[word], Scenario)

@@ -73,13 +73,13 @@ def suggestion(word: str, allowed: Sequence[str]) -> str:
 
 def _similar(word: str, allowed: Sequence[str]) -> list[str]:
     """Return the allowed words to suggest for an invalid one, mostly one; an empty list if none is similar."""
-    plain = as_key(word)
+    plain = spelled_as_key(word)
     initials = "".join(part[0] for part in plain.split("_") if part)  # spatial_adaptive_play is sap
     meant = [WORDS_FOR_KEYS.get(plain, plain), *WORDS_FOR_KINDS.get(plain, ()), initials]
     return [name for name in meant if name in allowed] or close_to(plain, allowed)
 
 
-def as_key(word: str) -> str:
+def spelled_as_key(word: str) -> str:
     """Return a word in the spelling of keys and kinds: packet_loss for Packet-Loss."""
     return word.lower().replace("-", "_").replace(" ", "_")
 
@@ -95,7 +95,7 @@ def other_key(place: KeyPath, allowed: Sequence[str], whole: type[BaseModel]) ->
     """Return a hint for an unknown key: a similar key of its table, or the same key in another table or kind."""
     word = str(place[-1]).split(".")[-1]
     close = _similar(word, allowed)
-    word = as_key(word)
+    word = spelled_as_key(word)
     elsewhere, meant_key = homes_of(word, whole), WORDS_FOR_KEYS.get(word)
     is_elsewhere = any(key.place[-1] == word for key in elsewhere)
     if meant_key and not is_elsewhere:
