@@ -74,7 +74,7 @@ class Witness:
         return self._refutes_action(record) or self._refutes_time(record) or self._refutes_position(record)
 
     def _refutes_action(self, record: Record) -> bool:
-        """Return whether the sender had done otherwise for a motion step when it announced its action.
+        """Return whether, at its announcement, the sender had taken another action for at least a motion step.
 
         The chase of a captured evader is not refuted: heartbeats may repeat it until the next decision of the sender.
         """

@@ -85,7 +85,7 @@ class ByzantineFault(Window):
         return me.id, body
 
     def says_to(self, me: Speaker, body: Any, neighbours: Sequence[int]) -> list[tuple[Collection[int], Any]] | None:
-        """Return each body that a pursuer announces, with the neighbours that it tells; None: it tells all the same."""
+        """Return each body that a pursuer announces, with the neighbours that it tells; None: all get the same."""
         return None
 
     def drops(self, me: Speaker) -> bool:
@@ -233,7 +233,7 @@ class Selective(ByzantineFault):
 
 
 class Slander(ByzantineFault):
-    """A pursuer accuses honest teammates whenever it could accuse others (`announce.trust` "accusations")."""
+    """A pursuer accuses given teammates in place of those that it distrusts (`announce.trust` "accusations")."""
 
     kind: Literal["slander"] = "slander"
     accused: Annotated[tuple[Node, ...], FirstError(), NotEmpty()]
@@ -279,13 +279,13 @@ class RandomLies(Value):
 
 
 class PursuerFaultTraits(FaultTraits):
-    """The optional attributes of a fault in a pursuit, in which the assumptions of protocols have names."""
+    """The optional attributes of a fault in a pursuit; `breaks` names assumptions of protocols."""
 
     breaks: frozenset[AssumptionName] = frozenset()
 
     @classmethod
     def check(cls, value: Any) -> None:
-        """Raise ValueError if methods are overridden that are not called, because `is_silent` is inherited."""
+        """Raise ValueError if `is_silent` is inherited as true, so that methods of the class are never called."""
         super().check(value)
         check_inherited_flag(value, "is_silent", ("says", "says_to", "drops", "accuses"), "a pursuer sends nothing")
 

@@ -83,7 +83,7 @@ class LyingTeam:
     # What the pursuers do.
 
     def set_action(self, pursuer: int, action: int) -> None:
-        """Set the action of a pursuer; while one of its Byzantine faults lets it stay, the action is 0."""
+        """Set the action of a pursuer; while one of its Byzantine faults makes it stay, the action is 0."""
         self._set_action(pursuer, 0 if self._stays(pursuer) else action)
 
     def publish(self, src: int, body: Any, size: int | None = None, stamp: int | None = None) -> None:
@@ -152,7 +152,7 @@ class LyingTeam:
         return name, body
 
     def _says_to(self, src: int, body: Any) -> list[tuple[Collection[int], Any]] | None:
-        """Return each body that a pursuer announces, with the nodes that it tells; None: it tells all the same."""
+        """Return each body that a pursuer announces, with the nodes that it tells; None: all get the same."""
         linked = self._network.topology.linked(src)
         answers = (model.says_to(self._speaker(src), body, linked) for model in self._active[src])
         return next((versions for versions in answers if versions is not None), None)

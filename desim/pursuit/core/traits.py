@@ -129,7 +129,7 @@ class DisseminationTraits(Assuming):
     hops: Annotated[float, Field(ge=1, strict=True)] = inf
     """Largest number of hops that an announcement travels."""
     forwarding_jitter: Time | None = None
-    """Longest random delay between the arrival of an announcement and its rebroadcast, s; None: arrivals cause none."""
+    """Longest random delay between the arrival of an announcement and its rebroadcast, s; None: no rebroadcast."""
     retransmits: Flag = False
     """Whether an announcement is transmitted again to each of its first receivers until it is acknowledged, or a newer
     one replaces it."""

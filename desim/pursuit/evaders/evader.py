@@ -29,8 +29,8 @@ from desim.pursuit.paths.space import PLANE, Plane, Walled
 class EvaderController:
     """The perception and the decisions of one evader in one run.
 
-    Pure evasion with full and immediate perception is computed from the state, without an observation. Kept equal to an
-    observation for the strategy by
+    Pure evasion with full and immediate perception is computed from the state, without an observation. The heading is
+    kept equal to that of the strategy, given an observation, by
     `tests/pursuit/test_perception.py::test_full_and_immediate_perception_gives_exactly_the_heading_of_the_strategy`.
 
     Args:
@@ -137,8 +137,8 @@ class InferredActivity:
     """Activity that is inferred from motion: a call returns a state in which the pursuers that seem to move are active.
 
     The evader looks at the pursuers in intervals. A pursuer that seems to have moved between two looks by more than
-    half of what its speed allows counts as active until the next look. The evader therefore notices a change after half
-    an interval to one and a half. Before the second look, all pursuers count as active.
+    half of what its speed allows counts as active until the next look. The evader therefore notices a change after
+    0.5 to 1.5 intervals. Before the second look, all pursuers count as active.
 
     A pursuer of speed v that stands still counts as active after a look with the probability exp(-(v T / 4 s)^2), where
     T is the interval and s the standard deviation of errors: the difference of two observed positions has the deviation
@@ -223,7 +223,7 @@ class EvaderBody:
         self._space, self._walled, self._is_recorded = space, space.walled, is_recorded
         self._relays = tuple(relays)
         self._has_single_times = self.is_radial or type(dynamics) is TurnRate
-        """Whether each capture time is computed by itself, and not in arrays of those of all."""
+        """Whether capture times are computed pursuer by pursuer, and not in arrays over all pursuers."""
         self.player = self._size + number - 1
         self._controller, self._players = controller, players
         self._radial_time = RadialTime(speeds, speed, radius)
@@ -288,7 +288,7 @@ class EvaderBody:
         return self.capture_times_from(pursuers, motions, self.position, distances)
 
     def _path_lengths(self, walled: Walled, pursuers: Iterable[int]) -> list[float]:
-        """Return the lengths of the paths from some pursuers, m, each computed once while the evader has a position."""
+        """Return the lengths of the paths from some pursuers to the evader's present position, m, with a cache."""
         place, cached = self.position, self._lengths_to
         if cached is None or cached[0] != place:
             cached = self._lengths_to = place, {}
@@ -300,7 +300,7 @@ class EvaderBody:
         return [length_from[position] for position in positions]
 
     def capture_times_at(self, place: complex, pursuers: Points, distances: Floats) -> tuple[float, ...]:
-        """Return the capture time, s, of each pursuer for this evader, which must be at large, at an assumed position.
+        """Return the capture time, s, of each pursuer for this evader at an assumed position; it must be at large.
 
         Args:
             place: the assumed position, m.

@@ -35,7 +35,7 @@ class Strategy(Protocol):
 
     The velocity is the heading times the speed; with a heading of 0 the evader stands still.
 
-    A strategy that reads `state.handover` has an attribute `listens = True`; see
+    A strategy that reads `state.handover` must declare `listens = True`; see
     `desim.pursuit.core.traits.StrategyTraits`.
     """
 
@@ -127,14 +127,14 @@ class MaxGeodesic(Fleeing):
     look_ahead: Period = 1.0
     """Time for which the evader assumes to keep a heading, s.
 
-    With a short time it flees as pure evasion does, into dead ends. In a long time, pursuers come closer than it
-    expects.
+    With a short time it flees as pure evasion does, into dead ends. With a long time it underestimates pursuers: it
+    assumes that they stand still.
 
     If in doubt, use the time in which the evader passes a wall.
     """
 
     def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
-        """Return the candidate heading after which the nearest pursuer has the longest path.
+        """Return the candidate heading that leads to the place farthest from its nearest pursuer, by lengths of paths.
 
         The evader assumes that it slides along walls in its way. Of equally good candidates, the first
         counter-clockwise from the heading of pure evasion is chosen.
@@ -146,7 +146,7 @@ class MaxGeodesic(Fleeing):
         headings: list[complex] = [straight * turn for turn in _turns(self.candidates).tolist()]
         length, space = state.speed * self.look_ahead, state.space
         ends = np.array([state.evader + space.slide(state.evader, heading * length) for heading in headings])
-        # The way changes the length of each path by at most `length`, so no other pursuer can be the nearest after it.
+        # The way changes each path by at most `length`, so only these pursuers can be the nearest at its end.
         near = fled_from.distances <= fled_from.distances[fled_from.nearest] + 2.0 * length
         distances = [space.distances(ends, place) for place in fled_from.pursuers[near].tolist()]
         return headings[int(np.min(distances, axis=0).argmax())]
@@ -155,13 +155,13 @@ class MaxGeodesic(Fleeing):
 class Hide(Fleeing):
     """Go by the shortest path to the nearest place that no pursuer sees, behind a wall that blocks sight.
 
-    Only places count to which no pursuer could come first, even straight through walls. A hidden evader stands still;
-    one without such a place flees straight from the nearest pursuer.
+    A hiding place counts only if the evader comes first, even if pursuers could go straight through walls. A hidden
+    evader stands still; an evader without such a place flees straight from the nearest pursuer.
     """
 
     kind: Literal["hide"] = "hide"
     distance: Length = 0.5
-    """Distance of hiding places from the corners of walls, m: there are eight around each corner.
+    """Distance of hiding places from the corners of walls, m; eight places surround each corner.
 
     If in doubt, use a few capture radii.
     """
@@ -188,7 +188,7 @@ class Hide(Fleeing):
 
 
 MAX_HIDING_PLACES = 64
-"""Number of the nearest hiding places that an evader looks at."""
+"""Maximum number of hiding places that an evader considers: the nearest ones."""
 
 
 class Zigzag(Fleeing):

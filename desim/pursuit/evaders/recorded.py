@@ -48,8 +48,8 @@ class _Record(Value):
     """Base of the models that read a record: how its times and positions become those of the simulation."""
 
     dimensions: Literal[2, 3] | None = None
-    """Coordinates of each waypoint in a file of BonnMotion: 2 (t x y) or 3 (t x y z, and z is dropped). The key is
-    needed only if the file does not tell."""
+    """Number of coordinates of each waypoint in a file of BonnMotion: 2 (t x y) or 3 (t x y z, and z is dropped). The
+    key is needed only if the file does not show this number."""
     start_time: Time = 0.0
     """Time in the record at which the simulation starts, s; earlier motion is cut off.
 
@@ -90,8 +90,8 @@ class _Record(Value):
 class RecordedMotion(_Record):
     """Move along recorded waypoints, whatever the pursuers do: straight, and at constant speed from each to the next.
 
-    The node stands at the first waypoint until its time, and at the last one from its time on. A motion step ends at
-    each waypoint, so that the motion is straight within every step, and captures stay exact.
+    The node stands still before the time of the first waypoint, and after that of the last. A motion step ends at each
+    waypoint, so that the motion is straight within every step, and captures stay exact.
     """
 
     kind: Literal["recorded"] = "recorded"
@@ -126,7 +126,7 @@ class RecordedMotion(_Record):
         else:
             checked._check_order()
         placed, cut = checked.placed(waypoints)
-        applied = {"file", "node", "dimensions", "start_time", "scale", "offset"}  # whose effect is in the waypoints
+        applied = {"file", "node", "dimensions", "start_time", "scale", "offset"}  # their effect is in the waypoints
         motion = make({key: value for key, value in data.items() if key not in applied} | {"waypoints": placed})
         if has_file:  # set as attributes: equality and hashes do not depend on lines and heights
             motion.__dict__["places"] = tuple(f"{file}, line {waypoint.line}" for waypoint in track.waypoints[cut:])
@@ -228,7 +228,7 @@ class RelayTraits(Traits):
 
     @classmethod
     def check(cls, value: Any) -> None:
-        """Raise ValueError if a class has its own `__call__` only, which moves an evader, and not a relay."""
+        """Raise ValueError if a class overrides `__call__`, which moves an evader, but not `velocity`, for a relay."""
         super().check(value)
         model: type = type(value)
         if "velocity" in cls.outdated(model) | cls.passed_on(value):

@@ -96,7 +96,7 @@ def is_equilibrium(
     """Return whether no pursuer gains by changing its action alone (a pure Nash equilibrium).
 
     Args:
-        phi: (N, M) capture times, s; a pursuer with inf cannot chase this evader and does not count for the others.
+        phi: (N, M) capture times, s; inf: the pursuer cannot chase the evader, and does not count for other pursuers.
         actions: (N,) action of each pursuer.
         reward: the time left, r, s.
         gain: gain from being active; `desim.pursuit.game.utility` has alternatives to the paper's.

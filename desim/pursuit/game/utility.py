@@ -73,8 +73,8 @@ class Mean(Value):
         phi, q = np.asarray(other_times, dtype=float), np.asarray(chances, dtype=float)
         s, weight = _quadrature(len(q) // 2 + 1)
         factors = 1.0 - q[:, None] * (1.0 - s)  # (K, nodes)
-        # The product without the factor of j is the product before j times that after j: a division by the factor of j
-        # could be one by 0. `before` also has the weights of the quadrature, and `after` the factor 1 - s of the
+        # The product without the factor of j is the product before j times the product after j. No division by the
+        # factor, which may be 0. `before` also has the weights of the quadrature, and `after` the factor 1 - s of the
         # difference of both means.
         before = np.cumprod(np.vstack([weight, factors]), axis=0)
         after = np.cumprod(np.vstack([1.0 - s, factors[::-1]]), axis=0)[::-1]

@@ -22,11 +22,11 @@ from desim.kernel.measured.measurements import start_of, time_of
 from desim.pursuit.mobility.mobility import MobilityFile, NodeName, NodeTrack, Waypoint, append, coordinate, time
 
 Dimensions = Literal[2, 3]
-"""The coordinates of each waypoint of BonnMotion."""
+"""The number of coordinates of each waypoint of BonnMotion."""
 MARKER_3D = re.compile(r"#\s*3D\b", re.IGNORECASE)
 """Matches the first line of a file of BonnMotion with heights."""
 MANY = 10
-"""From this number of lines on, a file of integers has no coordinates, unless its lines begin or end together."""
+"""From this number of lines on, a file of integers has no waypoints, unless all lines begin, or end, at one time."""
 
 
 class BonnMotionFile(MobilityFile):
@@ -47,9 +47,9 @@ class BonnMotionFile(MobilityFile):
         """Raise ValueError if the lines seem to be the rows of a table that lacks a header.
 
         This is so in three cases. All lines, except one at most, are one waypoint each, and their times differ: nodes
-        that stand still would have equal times. Or all lines are equally long, and in any reading some are no waypoints
-        in order of time. Or `MANY` such lines consist of integers and neither begin nor end together, as those of
-        contacts. If `dimensions` are given, integers may be coordinates.
+        that stand still would have equal times. Or all lines are equally long, and with either number of coordinates
+        some are no waypoints in order of time. Or at least `MANY` such lines consist of integers and neither begin nor
+        end at one time, like lines of contacts. If `dimensions` are given, integers may be coordinates.
         """
         possible = [4] if self._is_marked else [3, 4] if dimensions is None else [dimensions + 1]
         single = [row for row in self._rows if len(row[1]) in possible]
@@ -68,7 +68,7 @@ class BonnMotionFile(MobilityFile):
             raise ValueError(f"{self.file}, line {wrong[0]}: {SHOULD_BE_TRIPLES}, in order of time{hint}{advice}")
 
     def _are_integers_apart(self, widths: Iterable[int]) -> bool:
-        """Return whether the file is many lines of integers that neither begin nor end together.
+        """Return whether the file is many lines of integers that neither begin nor end at one time.
 
         Args:
             widths: the possible lengths of a waypoint.

@@ -101,7 +101,7 @@ def append(waypoints: list[Waypoint], new: Waypoint, place: str) -> None:
 
 
 def time(text: str, place: str, start: Decimal = Decimal(0), unit: Unit = "s") -> float:
-    """Return the time of the simulation, s, that a text says in a unit; the simulation begins at the time `start`, s.
+    """Return the simulation time, s, for a time in a file; the simulation begins at the time `start` of the file, s.
 
     Raises:
         ValueError: if the text is not a time, or is not from 0 to `MAX_TIME`.

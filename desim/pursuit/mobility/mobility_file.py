@@ -26,7 +26,7 @@ def read_mobility(
 
     Args:
         file: the path; the file may be compressed by gzip, and a table may be in Parquet.
-        dimensions: coordinates of each waypoint in a file of BonnMotion; None: as the file says.
+        dimensions: number of coordinates of each waypoint in a file of BonnMotion; None: as the file says.
         is_scaled: whether the caller scales the places; if not, comments may name no other unit than m.
         needs_times: whether a table should have times; see `MobilityTable`.
 
@@ -66,7 +66,7 @@ POSE = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
 
 
 def has_poses(lines: Sequence[str]) -> bool:
-    """Return whether each line has a time, later than that before, a position and a quaternion of length 1."""
+    """Return whether each line has a later time than the line before, a position and a quaternion of length 1."""
     rows = [row for line in lines if (row := line.split()) and not row[0].startswith("#")]
     if len(rows) < 2 or any(len(row) != len(POSE) for row in rows):
         return False

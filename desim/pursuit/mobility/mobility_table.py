@@ -33,7 +33,7 @@ from desim.pursuit.mobility.mobility import MobilityFile, NodeName, NodeTrack, W
 NUMBER = re.compile(r"[+-]?\d+(?:[.,]\d+)*(?:e[+-]?\d+)?", re.IGNORECASE)
 """Matches a number between spaces, perhaps with commas."""
 UNIT_APART = re.compile(r"\s+(?=[\[(])")
-"""Matches the space before a unit in brackets, which begins no cell."""
+"""Matches the space before a unit in brackets; the unit is no cell of its own."""
 NO_UNIT = "utc|gmt|date|iso ?8601"
 """Words in brackets after the name of a time that are no unit."""
 
@@ -216,7 +216,7 @@ class MobilityTable(MobilityFile):
 def _column_of_names(header: Header, rows: Sequence[Sequence[str]]) -> str | None:
     """Return the name of a column that may name nodes: it has several texts, and at least one of them repeatedly."""
     for name, words, cells in zip(header.names, header.words, zip(*rows, strict=True), strict=True):
-        if not OF_OTHERS.isdisjoint(words):  # such as a covariance, with a list of numbers in a cell
+        if not OF_OTHERS.isdisjoint(words):  # such as a covariance, a list of numbers in a cell
             continue
         texts = {cell.strip() for cell in cells} - {""}
         if 1 < len(texts) < len(cells) and not any(map(_is_numeric, texts)) and name not in COLUMNS["t"]:

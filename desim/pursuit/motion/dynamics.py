@@ -100,7 +100,7 @@ class Dynamics(Protocol):
     """Whether a commanded velocity is taken at once."""
 
     def __call__(self, position: complex, course: Course, command: complex) -> Piece:
-        """Return the motion from a position (m) and a course on, if a velocity (m/s) is commanded."""
+        """Return the motion that begins at a position (m) with a course, if a velocity (m/s) is commanded."""
 
     def headings(self, rng: np.random.Generator, count: int) -> list[complex]:
         """Return the initial headings, of length 1, of several players."""
@@ -138,7 +138,7 @@ def coasts(dynamics: Dynamics) -> bool:
 
 @runtime_checkable
 class Limited(Protocol):
-    """Dynamics with a limit that invariants of a run compare with positions (`desim.testing.pursuits`)."""
+    """Dynamics with a limit; `desim.testing.pursuits` checks that the positions in a run respect it."""
 
     @property
     def limits(self) -> Literal["acceleration", "turn rate"]:
@@ -193,8 +193,9 @@ class Acceleration(_WithoutHeading):
     A player begins at rest. It accelerates at the limit in the direction of the difference between the commanded
     velocity and its own, until both are equal. A player that is commanded to stand still brakes.
 
-    A pursuer assumes that it and the evader move along the line of sight. Its capture time is the root of the parabola,
-    or of the line that follows it: see `desim.pursuit.motion.capture.accelerated_capture_times`.
+    A pursuer assumes that it and the evader move along the line of sight. Their distance is a parabola in
+    time, and then a line. The capture time is when the distance has fallen to the capture radius: see
+    `desim.pursuit.motion.capture.accelerated_capture_times`.
     """
 
     is_simple: ClassVar[bool] = False
@@ -255,7 +256,7 @@ class TurnRate(Value):
         return [rect(1.0, angle) for angle in angles]
 
     def steered(self, command: complex, course: Course, aim: complex, radius: float) -> complex:
-        """Return the command of the guidance or, while the aim is within the turning circle, one to turn away from it.
+        """Return the command of the guidance or, while the aim is within the turning circle, a turn away from the aim.
 
         Otherwise the pursuer would circle around its aim. Turning away is the first arc of the shortest path.
         """
@@ -291,7 +292,7 @@ class DynamicsTraits(Traits):
 
     @classmethod
     def check(cls, value: Any) -> None:
-        """Raise ValueError if methods are overridden that are not called, because `is_simple` is inherited."""
+        """Raise ValueError if `is_simple` is inherited as true, so that methods of the class are never called."""
         super().check(value)
         check_inherited_flag(value, "is_simple", CALLED_WITH_INERTIA, "commanded velocities are taken at once")
 

@@ -99,7 +99,7 @@ class NoFlow(UniformFlow):
         return 0j
 
     def trend(self, begin: float) -> tuple[complex, float]:
-        """Return 0."""
+        """Return a velocity of 0 and a bound of 0."""
         return 0j, 0.0
 
 

@@ -3,7 +3,7 @@
 A flow that carries all players alike changes no capture time. Otherwise the pursuers know the flow, and allow for it:
 
 - a flow on the pursuers alone, the same everywhere: the pursuer meets the evader as if the evader moved with its own
-  velocity less that of the flow, in closed form or, if the flow changes in time, at the root of the distance;
+  velocity less that of the flow (a closed form or, if the flow changes in time, a root by iteration);
 - an affine flow on all: the distance d grows at the rate a d + v_e - v;
 - any other flow: the present difference of the flow at the two players is assumed to stay. This is an approximation.
 """

@@ -170,7 +170,7 @@ class Arrangement:
         return numbers
 
     def _divided(self, chain: list[int]) -> list[int]:
-        """Return a chain of corners with those of other walls that lie on it."""
+        """Return a chain of corners after inserting the corners of other walls that lie on it."""
         divided = chain[:1]
         for begin, end in pairwise(chain):
             along = complex(self.places[end] - self.places[begin])

@@ -71,7 +71,7 @@ class Plane:
         return lengths(target - sources)
 
     def along(self, source: complex, target: complex, length: float) -> complex:
-        """Return the place, m, that is a length (m) from a source on the path to a target; at most the target."""
+        """Return the place, m, after a length (m) of the path from a source to a target; the target if it is closer."""
         return moved_towards(source, target, length)
 
     def are_free(self, places: Points) -> Bools:
@@ -147,7 +147,7 @@ class Walled(Plane):
         return self
 
     def distance(self, source: complex, target: complex) -> float:
-        """Return the length of the shortest path between two places, m; inf without a path, nan if one is unknown."""
+        """Return the length of the shortest path between two places, m: inf without a path, nan if unknown."""
         return self.paths.distance(source, target)
 
     def distances(self, sources: Points, target: complex) -> Floats:
@@ -155,7 +155,7 @@ class Walled(Plane):
         return self.paths.distances(target, sources)
 
     def along(self, source: complex, target: complex, length: float) -> complex:
-        """Return the place, m, that is a length (m) from a source on the shortest path to a target; at most its end."""
+        """Return the place, m, after a length (m) of the shortest path to a target, at most the end of the path."""
         path = self.paths.path(source, self.free_place(target))
         for begin, end in pairwise(path):
             if abs(end - begin) >= length:
@@ -204,7 +204,7 @@ class Walled(Plane):
         return place - here, place == aim
 
     def course(self, here: complex, aim: complex, speed: float, now: int, until: int) -> tuple[complex, int]:
-        """Return the velocity, m/s, with which a player follows the shortest path, and until when (ns) it keeps it.
+        """Return the velocity, m/s, of a player that follows the shortest path, and the time, ns, until which it holds.
 
         A player close to the aim slows down and arrives at the end of the step, so that it does not overshoot.
 

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from math import sqrt
 
 ROUNDING = 1e-14
-"""A difference of variances that is at most this share of them is 0 with rounding errors."""
+"""A difference of variances counts as 0, a rounding error, if it is at most this share of them."""
 StateVector = tuple[float, float, float, float]
 """(x, y, vx, vy), m and m/s."""
 Upper = tuple[float, float, float, float, float, float, float, float, float, float]
@@ -89,7 +89,7 @@ def full_rows(matrix: Upper) -> Sequence[Sequence[float]]:
 
 
 def _with_entries(state: StateVector, covariance: Upper, entries: Sequence[Entry]) -> tuple[StateVector, Upper]:
-    """Return a state and its covariance after measured numbers.
+    """Return a state and its covariance after the measurements in `entries`, one by one.
 
     The ten numbers of the covariance are variables, and no vector is a list, so an entry takes a ninth of the time.
 
@@ -111,7 +111,7 @@ def _with_entries(state: StateVector, covariance: Upper, entries: Sequence[Entry
         difference = number - (a * x + b * y + c * vx + d * vy)
         gx, gy, gu, gv = sx / total, sy / total, su / total, sv / total
         x, y, vx, vy = x + gx * difference, y + gy * difference, vx + gu * difference, vy + gv * difference
-        # The product of h with each row of (1 - K h) P, which has rounding errors of its own below the diagonal.
+        # The product of h with each row of (1 - K h) P, which rounding errors make slightly asymmetric.
         ky, ku = (xy - gy * sx) * a, (xu - gu * sx) * a + (yu - gu * sy) * b
         kv = (xv - gv * sx) * a + (yv - gv * sy) * b + (uv - gv * su) * c
         xx, xy, xu, xv = xx - gx * sx, xy - gx * sy, xu - gx * su, xv - gx * sv

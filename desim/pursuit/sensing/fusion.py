@@ -1,8 +1,8 @@
 """The fusion of tracks, weighted by their inverse covariances.
 
 The inverse of a covariance is the information of a track. Fusion adds informations, so it needs no gain (Bar-Shalom, Li
-& Kirubarajan 2001, section 7.2). A covariance has blocks of 2 x 2: position, velocity, and both. So its inverse has a
-closed form, by the Schur complement of the velocity.
+& Kirubarajan 2001, section 7.2). A covariance has 2 x 2 blocks: of position, of velocity, and between
+both. So its inverse has a closed form, by the Schur complement of the velocity.
 """
 
 from collections.abc import Sequence
@@ -105,7 +105,7 @@ def inverse(matrix: Upper) -> tuple[Upper, float] | None:
     if not of_velocity > 0.0:
         return None
     iuu, iuv, ivv = vv / of_velocity, -uv / of_velocity, uu / of_velocity
-    # The regression of the position on the velocity: the block of both times the inverse of the block of the velocity.
+    # The regression of position on velocity: the block between both times the inverse of the block of velocity.
     gxu, gxv, gyu, gyv = xu * iuu + xv * iuv, xu * iuv + xv * ivv, yu * iuu + yv * iuv, yu * iuv + yv * ivv
     # s: the Schur complement of the velocity; i: the inverse.
     sxx, sxy, syy = xx - gxu * xu - gxv * xv, xy - gxu * yu - gxv * yv, yy - gyu * yu - gyv * yv

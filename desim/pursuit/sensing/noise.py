@@ -14,7 +14,7 @@ from desim.config.traits import is_ours
 
 Deviation = Annotated[float, Field(ge=0, le=MAX_COORDINATE, allow_inf_nan=False, strict=True)]
 LEAST = 1e-6
-"""Least standard deviation in the covariance of a sighting, m, or as a share of the greatest if this is above 1 m.
+"""Least standard deviation in the covariance of a sighting: in m or, if the greatest is above 1 m, a share of it.
 
 With it, every covariance has an inverse.
 """

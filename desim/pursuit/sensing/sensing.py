@@ -82,9 +82,9 @@ class Sensing(Value):
     """Filter of noisy sightings; without one, the newest sighting is the estimate (`estimate`)."""
     fusion: Fusion = "by_stamp"
     """How reports are combined. by_stamp: reports contain the newest sighting of a pursuer, and the filter of a
-    receiver processes all sightings in the order of their time stamps. With the others, reports contain tracks with
-    their covariances. naive: tracks are fused as if they were independent; covariance_intersection: the fused track is
-    consistent, whatever sightings the tracks have in common."""
+    receiver processes all sightings in the order of their time stamps. With the other values, reports contain
+    tracks with their covariances. naive: tracks are fused as if they were independent; covariance_intersection: the
+    fused track is consistent, whatever sightings the tracks have in common."""
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
@@ -301,7 +301,7 @@ class SensedView(LimitedView):
 
     def forget(self, *, heard_only: bool) -> None:
         """Delete the reported sightings and, unless `heard_only`, the pursuer's own."""
-        self._read_reports()  # which have arrived before: these are forgotten, too
+        self._read_reports()  # so that reports that have arrived unread are forgotten, too
         self._reported.clear()
         if not heard_only:
             self._sensor.forget(self._id)

@@ -2,8 +2,8 @@
 
 The state is (x, y, vx, vy), in m and m/s. Each component of the velocity diffuses, because the acceleration is white
 noise in continuous time (Bar-Shalom, Li & Kirubarajan 2001, section 6.2.2). With the diffusion c, in m/s per sqrt(s),
-position and velocity change by random numbers with the covariance c^2 [t^3/3 t^2/2; t^2/2 t] in a time t. So a
-prediction over a time is the same whether sightings divide this time or not.
+position and velocity change by random numbers with the covariance c^2 [t^3/3 t^2/2; t^2/2 t] in a time t. So
+a prediction over a time is the same in one step as in several steps.
 """
 
 from bisect import bisect_left, bisect_right
@@ -24,9 +24,9 @@ from desim.pursuit.sensing.noise import LEAST, Covariance
 _new = tuple.__new__  # creates a named tuple in a third of the time
 VelocityDiffusion = Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False, strict=True)]
 START_SPEED = 10.0
-"""Standard deviation, m/s, of each component of the velocity after the first sighting of an evader that is no faster.
+"""Standard deviation, m/s, of each component of the velocity of an evader after its first sighting.
 
-For a faster evader, its speed over ground takes the place of this value, because its first tracks are less certain.
+If the speed of the evader over ground is greater, this speed takes the place of the value.
 """
 
 
@@ -49,9 +49,9 @@ class Measurement(NamedTuple):
 
 
 WIDE = 4.0
-"""Variance of a predicted position, as a multiple of that of the sighting, from which on the covariance of the sighting
-is averaged around the measured position. An average over so uncertain a prediction includes places far from a near
-observer, so its error would count as large.
+"""From this ratio of the variances of the predicted and the measured position on, the covariance of a sighting is
+averaged around the measured position. Around so uncertain a prediction, the average would include places far from the
+observer, so the error of a near sighting would count as large.
 """
 CovarianceAt = Callable[[complex], Covariance]
 """Maps the true vector from an observer to an evader, m, to the covariance of the error of a sighting."""

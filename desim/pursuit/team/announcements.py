@@ -144,7 +144,7 @@ def announced_action(body: Any) -> int | None:
 
 
 def action_in_game(body: Any, evaders: int) -> int | None:
-    """Return the action that a message announces in a game with a number of evaders; None if there is no action.
+    """Return the action that a message announces, given the number of evaders; None if there is no action.
 
     A protocol of a user may give an attribute `active` another meaning, so a number outside of the game is no action.
     The keys of a dict count as attributes, because in a trace file objects and dicts look alike.
@@ -156,8 +156,8 @@ def action_in_game(body: Any, evaders: int) -> int | None:
 def relayed_records(body: Any) -> Sequence[Record] | None:
     """Return `body.records`, the records that a message relays; None if the message is not a relay.
 
-    The records of a trace that was read from a file have another type, with the same fields. A protocol of a user may
-    give an attribute `records` another meaning.
+    The items are checked, because a protocol of a user may give an attribute `records` another meaning. Records of a
+    trace that was read from a file have another type, with the same fields.
     """
     records: Any = getattr(body, "records", None)
     if records is None and _is_mapping(body):
@@ -166,7 +166,7 @@ def relayed_records(body: Any) -> Sequence[Record] | None:
 
 
 def _is_record(value: Any) -> bool:
-    """Return whether a value has the fields of a record, with numbers as those of a record."""
+    """Return whether a value has the fields of a record, and its numbers are valid for a record."""
     if getattr(value, "_fields", None) != Record._fields:
         return False
     if not all(isinstance(number, INTEGERS) for number in (value.src, value.seq, value.stamp)):
@@ -192,7 +192,7 @@ def with_records(body: Any, records: Iterable[Record]) -> Any:
 
 
 def own_records(event: Broadcast | Sent | Delivered) -> Sequence[Record]:
-    """Return the record that a broadcast publishes, given that it relays no records; other messages publish none.
+    """Return the record, in a sequence, of a broadcast that relays no records; empty for other events.
 
     The records in a frame of a transport (`desim.kernel.transport.frames`) count when they are delivered.
     """
@@ -263,7 +263,7 @@ class Announcements(Value):
     start: Start = "announced"
     """How pursuers learn the initial actions. announced: each announces its first action at time 0, over the network,
     whatever the trigger; known: all know them at time 0 without a message; silent: the trigger decides when a pursuer
-    announces its first action, as any later one, and until then the others do not know this action.
+    announces its first action, and the others do not know the action until then.
 
     If in doubt, use announced: with known, initial knowledge crosses any network for free.
     """

@@ -128,10 +128,10 @@ class Beliefs(Knowledge):
         return [j for j, _ in self._chasing_records(evader)] if self._judge is None else self._rivals(evader)[1]
 
     def _chasing_records(self, evader: int) -> list[tuple[int, Record]]:
-        """Return the teammates that chase an evader according to fresh announcements, with these, by ascending id."""
+        """Return (id, announcement), by ascending id, of the teammates that chase an evader by fresh announcements."""
         oldest = self._clock.true - self._timeout()
-        # The network keeps records in the order of arrival. The gain sums capture times, and the last bit of a sum
-        # depends on the order.
+        # The network keeps records in the order of arrival. They are sorted, because the gain sums capture times, and
+        # the last bit of a sum depends on the order.
         chasing = [
             (j, record)
             for j, (arrival, record) in self._network.matching(self.id).items()
@@ -242,7 +242,7 @@ class Beliefs(Knowledge):
         """Return its believed gain, s, from chasing an evader rather than being inactive; see `Utility`.
 
         Raises:
-            ValueError: if it is no utility, or a user's utility returns no number, or nan.
+            ValueError: if `utility` is no utility, or a user's utility returns no number, or nan.
         """
         try:
             scope = utility.scope
@@ -364,7 +364,7 @@ class Beliefs(Knowledge):
         since = min(record.stamp, now)
         if not body.active and not any(action for _, action in ordered):
             return self._view.idle(motion, now - since)
-        # The announced motion contains the effect of orders until the announcement, so older orders count from then on.
+        # The announced motion contains the effect of earlier orders, so these count only from the announcement on.
         segments = [(since, body.active), *((max(begin, since), action) for begin, action in ordered)]
         exact = self._announcements.reckoning == "exact"
         for (begin, action), (end, _) in pairwise([*segments, (now, 0)]):

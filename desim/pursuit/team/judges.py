@@ -109,7 +109,7 @@ class TrimmingJudge(Judge):
     """Ignores the most extreme claims, as W-MSR does; see `Trimmed`.
 
     Args:
-        liars: F, the number of claims that it ignores on each side of its own.
+        liars: F, the number of claims that it ignores above, and below, its own capture time.
     """
 
     def __init__(self, liars: int):
@@ -124,7 +124,7 @@ class TrimmingJudge(Judge):
 
 
 class Checking(Judge):
-    """Distrusts a teammate from a record that the observations of the pursuer refute until one that they do not refute.
+    """Distrusts a teammate if the observations of the pursuer refute its newest record.
 
     Args:
         witness: what the pursuer observes.

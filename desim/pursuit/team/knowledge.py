@@ -84,7 +84,8 @@ class Knowledge:
     def may_chase(self, evader: int = 1) -> bool:
         """Return whether it may choose to chase an evader.
 
-        The evader must be at large, of known or estimated position, and not excluded by `Scenario.prune`.
+        The evader must be at large, with a known or estimated position, and `Scenario.prune` must not exclude the
+        pursuer.
         """
         return self._view.may_chase(self.id, evader)
 

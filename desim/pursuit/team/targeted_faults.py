@@ -81,7 +81,7 @@ class ChaserCut(TargetedFault):
 
 
 class NewsFault(Fault):
-    """The first message after each change of its sender's action is lost, or arrives late; later ones are not.
+    """The first message after each change of its sender's action is lost, or arrives late; the next messages are not.
 
     The first message of each pursuer after the start of the fault counts as news, too.
     """

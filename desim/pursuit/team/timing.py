@@ -169,11 +169,11 @@ class Timing:
         loop with `arrival` and `mail`. A call has all messages that arrive at one instant. Calls end with the next
         `listen` at this port, or when the pursuer restarts without memory; its new process then listens anew.
 
-        If in doubt, leave out `ignores`. It returns whether `act` would do nothing with a message, now or later, such
-        as with a copy of a message that has arrived. It is called when the message is sent. A message that it ignores
-        once must stay without effect until it arrives, unless the pursuer restarts without memory, so the data that
-        `ignores` reads may only grow. It must change nothing. `check_protocol` and `check_dissemination` of
-        `desim.testing` compare with runs without it. If most messages are ignored, a flood takes an eighth less time.
+        If in doubt, leave out `ignores`. If it ignores most messages, a flood takes an eighth less time. It is called
+        when a message is sent, and returns whether `act` would do nothing with this message, for example with a copy of
+        a message that has arrived. An ignored message must stay without effect until it arrives, unless the pursuer
+        restarts without memory, so the data that `ignores` reads may only grow. `ignores` must change nothing. The
+        checks `check_protocol` and `check_dissemination` of `desim.testing` compare with runs without it.
 
         Kept equal to a process that waits for each arrival by
         `tests/protocols/test_dissemination.py::test_flooding_by_a_function_is_flooding_by_a_process`.
