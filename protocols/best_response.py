@@ -20,7 +20,7 @@ from desim.pursuit.team.agent import Agent
 from protocols.rule import LearningRule, argmax, current_action
 
 ChangeProbability = Annotated[float, Field(gt=0, le=1, strict=True)]
-"""Probability that a pursuer changes its action at a turn at which its rule would, in (0, 1]."""
+"""Probability that a pursuer follows its rule at a turn, rather than keep its action, in (0, 1]."""
 
 
 class BestResponse(LearningRule):

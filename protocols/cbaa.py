@@ -73,7 +73,7 @@ class CBAA(Auction):
             for k, best in enumerate(bids):
                 update = bid_updater(me, k + 1)
                 claimed = {j: update(claim[k]) for j, claim in claims.items()}
-                # With its own claim, reports of this pursuer's bid are ignored: `action_and_bids` makes it anew.
+                # `me` counts as claiming no bid, so reports of its bid are ignored: `action_and_bids` bids anew.
                 bids[k] = greatest(update(best), claimed | {me.id: NO_BID})
             action, bids = action_and_bids(me, one_each(bids))
             me.set_payload(Claim(action, *lists_of(bids)))

@@ -95,7 +95,7 @@ class CBBA(Auction):
                 news = [*sender_stamps[:k], record.sent, *sender_stamps[k + 1 :]]
                 grown_at = [me.now if new > old else t for new, old, t in zip(news, stamps, grown_at, strict=True)]
                 stamps = list(map(max, news, stamps))
-            # The pursuer's own bids are made anew, and those of winners that have timed out are dropped.
+            # Bids of winners that have timed out are dropped, and so is the pursuer's own bid, which is made anew.
             rivals = {k for k, t in enumerate(grown_at) if k != me.id and me.now - t <= self.winner_timeout}
             rival_bids = [bid if bid.winner in rivals else NO_BID for bid in bids]
             action, bids = action_and_bids(me, rival_bids)

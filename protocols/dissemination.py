@@ -135,7 +135,7 @@ class Gossip(Value):
 
 
 class SentByTransport:
-    """A dissemination that is itself the transport of announcements to the neighbours; none of them forwards any."""
+    """A dissemination that is itself the transport of announcements to the neighbours, which do not forward them."""
 
     hops: ClassVar[int] = 1
 
@@ -163,7 +163,7 @@ class ReliableOneHop(SentByTransport, Reliable):
 
     kind: Literal["reliable"] = "reliable"
     window: SendWindow = 1
-    """Largest number of successive messages to a receiver of which the first is not acknowledged; 1 = stop-and-wait.
+    """Largest number of successive messages to a receiver, from the oldest unacknowledged one on; 1 = stop-and-wait.
 
     If in doubt, use 1: only the newest announcement matters, and `keep_last` keeps no other.
     """
@@ -179,7 +179,7 @@ class ReliableOneHop(SentByTransport, Reliable):
 class CodedOneHop(SentByTransport, Coded):
     """Each announcement is broadcast in coded pieces, of which some suffice; none is acknowledged or forwarded.
 
-    Robust to loss: more than one hop, at the cost of the bytes of all pieces.
+    Robust to loss: more than `one_hop`, at the cost of the bytes of all pieces.
     """
 
     kind: Literal["coded"] = "coded"

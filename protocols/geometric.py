@@ -164,8 +164,8 @@ class VelocityFilter:
     """A velocity estimated from positions at irregular times by a low-pass filter: dw/dt = (dx/dt - w) / T.
 
     w is the estimate, x the position and T the time constant. The estimate is 0 until two successive positions are
-    known, then starts at the mean velocity between them. It is constant while the position is unknown (nan), and until
-    the time is later than that of the last position. The velocity of an evader that the flow carries is relative to the
+    known, then starts at the mean velocity between them. It does not change while the position is unknown (nan), or in
+    a call that is not later than the last position. The velocity of an evader that the flow carries is relative to the
     flow.
     """
 

@@ -145,7 +145,7 @@ class Policy(Rule):
         return len(self.layers[-1].bias)
 
     def check_game(self, pursuers: int, evaders: int) -> None:
-        """Raise KeyedError if a game lacks one of the features, or the scores are neither 1 nor one for each action."""
+        """Raise KeyedError if a game lacks one of the features, or the number of scores is neither 1 nor M + 1."""
         names = observation_names(pursuers, evaders)
         absent = [name for name in self.features if not name.startswith(f"{RELATIVE}.") and name not in names]
         if absent:

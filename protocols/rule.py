@@ -2,7 +2,7 @@
 
 A `Rule` is a protocol with a schedule. Its `actions(me)` is a generator that yields one action per turn (0: inactive,
 j: chase evader j) and keeps the pursuer's memory in its local variables. While the pursuer can only be inactive,
-`Rule.__call__` does not advance the generator, unless `asks_without_choice` says so. A `LearningRule` chooses by the
+`Rule.__call__` does not advance the generator, unless `asks_without_choice` is set. A `LearningRule` chooses by the
 utilities of the actions. Any rule runs under any schedule, network and dissemination. Derive a new protocol from `Rule`
 or `LearningRule` unless it needs messages of its own.
 """
@@ -50,7 +50,9 @@ class Rule(Value):
         raise NotImplementedError(f"{type(self).__name__} has no rule: write its actions(me)")
 
     def __call__(self, me: Agent) -> Process:
-        """Run the schedule of a pursuer; at each turn, assign the next of `actions`, or 0 without advancing `actions`.
+        """Run the schedule of a pursuer; at each turn, assign the next of `actions`.
+
+        A pursuer that can only be inactive gets 0, and `actions` waits, unless `asks_without_choice` is set.
 
         Raises:
             TypeError: if `actions` is not a generator.

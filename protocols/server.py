@@ -31,8 +31,8 @@ Robust to loss: yes. Reports and orders are repeated every period, and an order 
     discarded. The server assumes that its orders are obeyed. If an order is lost or late, the predicted position is
     wrong by at most the distance covered since the last report, and only until the order is repeated. A pursuer without
     a recent report (`announce.belief_timeout`, where "auto" uses the period of the reports) is left out. If fewer
-    evaders than now would then be chased, as many as possible are: a silent chaser keeps its evader if nobody can take
-    its place. If no reports arrive for 3 periods and a round trip, the server decides without them.
+    evaders than now would then be chased, a silent chaser keeps its evader unless another pursuer can take its place.
+    If no reports arrive for 3 periods and a round trip, the server decides without them.
 """
 
 from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
@@ -85,7 +85,8 @@ class Server(Value):
     period: Period = 0.1
     """Time between two reports of a pursuer, and between two repetitions of an order, s.
 
-    A long period delays orders and hides losses; a short one loads the channel at the host with N reports each time.
+    A long period delays decisions and the repetition of lost orders; a short one loads the channel at the host with
+    N - 1 reports per period.
 
     If in doubt, use 0.1 for speeds of about 1 m/s.
     """
@@ -247,8 +248,8 @@ def best_chasers(phi: Sequence[Mapping[int, float]], reward: float) -> dict[int,
 def most_chasers(phi: Sequence[Mapping[int, float]], silent: Mapping[int, int], reward: float) -> dict[int, int]:
     """Return the chasers, by evader (1 .. M), if silent ones may go on: as many as possible, in the best assignment.
 
-    A silent chaser counts as one that would just be in time for its evader and late for all others. It is therefore
-    replaced if another pursuer can take its place: it may be down.
+    A silent chaser may be down, so it is replaced if another pursuer can take its place. It counts as one that would just
+    be in time for its evader, and late for all others.
 
     Args:
         phi: for each of the M evaders the capture times, s, of the pursuers that may chase it, without silent chasers.
@@ -264,7 +265,7 @@ def most_chasers(phi: Sequence[Mapping[int, float]], silent: Mapping[int, int], 
 
 
 def new_orders(messages: Iterable[Message], newest: NewestOrders) -> Iterator[tuple[int, TeamOrder]]:
-    """Yield, as (sender, order), the orders among the messages that are newer than all before of the same sender.
+    """Yield, as (sender, order), the orders among the messages that are newer than all earlier ones of their sender.
 
     An older order that arrives late, or an order that arrives twice, is no sign that its sender is still up (Chen,
     Toueg & Aguilera 2002).
@@ -306,7 +307,7 @@ def time_not_chasing(reported: int, ordered: Sequence[tuple[int, int]], evader: 
 
 
 def apply_order(me: Agent, order: TeamOrder) -> None:
-    """Chase the evader that the order assigns to the pursuer; be inactive if there is none or it has been captured."""
+    """Chase the evader that the order assigns to the pursuer; be inactive if it assigns none, or a captured one."""
     action = order.action(me.id)
     action = action if action in me.evaders() else 0
     if me.action != action:

@@ -81,8 +81,8 @@ class GeometricTau(Value):
     ratio: Annotated[float, Field(gt=0, lt=1, strict=True)] = 0.97
     """Factor from one slot to the next, in (0, 1).
 
-    Cooling by 1/e takes about 1 / (1 - ratio) slots. A fast one freezes the team before each pursuer has revised a few
-    times.
+    Cooling by a factor e takes about 1 / (1 - ratio) slots. Fast cooling freezes the team before each pursuer has
+    revised a few times.
 
     If in doubt, use 1 - 1/(3 N) for a team of N.
     """

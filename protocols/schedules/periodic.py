@@ -79,7 +79,7 @@ class SharedSeed(Value):
 class Poisson(Value):
     """Each pursuer revises at the ticks of its own Poisson clock.
 
-    The pursuers that revise one after the other are therefore independent uniform draws from the team.
+    Each revising pursuer is therefore an independent uniform draw from the team.
     """
 
     kind: Literal["poisson"] = "poisson"
