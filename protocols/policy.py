@@ -88,9 +88,9 @@ FIRST_AND_IN_TIME = (
 class Policy(Rule):
     """The action of the greatest score, where a network computes the scores from an observation.
 
-    A network with one output gives the score of chasing an evader, for each evader that the pursuer may chase; that of
-    inactivity is 0. The block "evader" in the names of its features stands for the evader in question. A network with
-    M + 1 outputs gives the scores of all actions, 0 .. M. Ties go to the lowest action.
+    A network with one output gives the score of chasing an evader, for each evader that the pursuer may chase; the
+    score of inactivity is 0. The block "evader" in the names of its features stands for the evader in question. A
+    network with M + 1 outputs gives the scores of all actions, 0 .. M. Ties go to the lowest action.
 
     The default weights give the rule of `local_min` where all hear each other: a pursuer chases if it would be in time,
     and no teammate that is known to chase would be earlier.

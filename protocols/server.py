@@ -109,7 +109,7 @@ class Server(Value):
             server = yield from self._lead(me, newest) if me.id == server else self._follow(me, server, newest)
 
     def _follow(self, me: Agent, server: int, newest: NewestOrders) -> Generator[Any, Any, int]:
-        """Report at every tick, obey the newest order received, and return when its turn as the server has come."""
+        """Report at every tick, obey the newest order received, and return its id when its turn as the server comes."""
         last_order = me.now
         timeout = self._timeout(me)
         for tick in self._ticks(me):
@@ -248,8 +248,8 @@ def best_chasers(phi: Sequence[Mapping[int, float]], reward: float) -> dict[int,
 def most_chasers(phi: Sequence[Mapping[int, float]], silent: Mapping[int, int], reward: float) -> dict[int, int]:
     """Return the chasers, by evader (1 .. M), if silent ones may go on: as many as possible, in the best assignment.
 
-    A silent chaser may be down, so it is replaced if another pursuer can take its place. It counts as one that would just
-    be in time for its evader, and late for all others.
+    A silent chaser may be down, so it is replaced if another pursuer can take its place. It counts as one that would
+    just be in time for its evader, and late for all others.
 
     Args:
         phi: for each of the M evaders the capture times, s, of the pursuers that may chase it, without silent chasers.

@@ -55,7 +55,7 @@ class ByzantineFault(Window):
     """Whether the fault concerns the pursuer that chases when it begins; of several, the one that would capture first.
     Its lies do most harm, because the others rely on it. If no pursuer chases, the fault has no effect."""
     share: Probability | None = None
-    """The share of the team, drawn at random per seed, in [0, 1]; a larger share contains the smaller ones."""
+    """The share of the team, in [0, 1], drawn at random per seed; a larger share adds pursuers to a smaller one."""
     acts: Literal["protocol", "stay"] = "protocol"
     """Actions of these pursuers. protocol: those of their protocol; stay: they never chase."""
 

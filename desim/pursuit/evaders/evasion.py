@@ -196,7 +196,7 @@ class Zigzag(Fleeing):
 
     kind: Literal["zigzag"] = "zigzag"
     period: Period = 2.0
-    """Period of the zigzag, one half to the left and one to the right, s; the first begins at time 0."""
+    """Period of the zigzag, s: half of it to the left, then half of it to the right. A period begins at time 0."""
     amplitude: Annotated[float, Field(ge=0, le=pi, strict=True)] = 0.7
     """Angle from the heading of pure evasion, rad."""
 

@@ -220,7 +220,7 @@ class RecordedFlow(UniformFlow):
         return self._position(end) - self._position(begin)
 
     def trend(self, begin: float) -> tuple[complex, float]:
-        """Return the last velocity, m/s, and an upper bound of the displacement by the differences from it, m."""
+        """Return the last velocity, m/s, and a bound, m, of the displacement relative to this velocity."""
         last, times = self._values[-1], [max(t, begin) for t in self._times]
         differences = [abs(self.velocity_at(t) - last) for t in times]
         before_first = differences[0] * max(times[0] - begin, 0.0)

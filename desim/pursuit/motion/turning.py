@@ -20,7 +20,7 @@ MAX_ITERATIONS = 100
 ROUNDING = 1e-14
 """Relative rounding error of a length."""
 ANGLE_ROUNDING = 1e-9
-"""An angle less than a full turn by at most this value, rad, is 0."""
+"""An angle that is at most this value below a full turn, rad, counts as 0."""
 
 
 def shortest_path(target: complex, rho: float) -> tuple[float, complex]:
@@ -85,8 +85,8 @@ def turning_capture_time(
     This is the least t >= 0 with L(x_e + w t) - eps <= v t, where L is the length of the shortest path, and w the
     velocity of the evader, in the direction of `offset`. The capture time is 0 within the capture radius. Beyond this
     radius, it is inf for a pursuer no faster than the evader. As the evader moves away, L grows at most as fast as its
-    distance, and jumps down where the evader leaves a turning circle. L - v t therefore falls strictly, and has one
-    root.
+    distance, and jumps down where the evader leaves a turning circle. L - eps - v t therefore falls strictly, and
+    changes its sign once.
 
     Args:
         offset: vector from the pursuer to the evader, m.

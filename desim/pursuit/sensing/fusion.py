@@ -1,8 +1,8 @@
 """The fusion of tracks, weighted by their inverse covariances.
 
 The inverse of a covariance is the information of a track. Fusion adds informations, so it needs no gain (Bar-Shalom, Li
-& Kirubarajan 2001, section 7.2). A covariance has 2 x 2 blocks: of position, of velocity, and between
-both. So its inverse has a closed form, by the Schur complement of the velocity.
+& Kirubarajan 2001, section 7.2). A covariance has 2 x 2 blocks: of position, of velocity, and
+between both. So its inverse has a closed form, by the Schur complement of the velocity.
 """
 
 from collections.abc import Sequence

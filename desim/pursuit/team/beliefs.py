@@ -89,7 +89,7 @@ class Beliefs(Knowledge):
         super().__init__(pursuer, view, network, clock)
         self._announcements, self._announcement, self._judge = announcements, announcement, judge
         self._constant_timeouts: dict[float | None, float] = {}
-        """The time for which an announcement is believed, ns of true time, by period (`trusted`), if it is constant."""
+        """By the period of `trusted`: for how long an announcement is believed, ns of true time, if constant."""
         self.senses_others = announcements.payload == "action"
         """Whether it senses the positions of its teammates, so that announcements need not contain them."""
 

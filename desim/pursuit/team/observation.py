@@ -15,7 +15,7 @@ from desim.pursuit.team.agent import Agent
 from desim.pursuit.team.announcements import Assignment, Located, TimedAssignment, action_in_game
 
 LATE = 5.0
-"""The time, s, by which a capture has to be late or early for `OfEvader.late` to be 0.76 or -0.76."""
+"""The unit of time of `OfEvader.late`, s: a capture that is late by this time gives tanh(1) = 0.76."""
 
 
 class Own(NamedTuple):
