@@ -8,7 +8,7 @@ Paper: Flooding: in the paper, each receiver of a new announcement rebroadcasts 
     Tseng, Chen & Sheu 1999, "The Broadcast Storm Problem"). Gossip: each broadcast carries all known records
     (anti-entropy of Demers et al. 1987). Reliable: automatic repeat request, see `desim.kernel.models.transport`.
 Parameters: hops (largest number of hops of a flooded announcement), jitter (longest random delay); for reliable and
-    coded those of the transport.
+    coded, the parameters of the transport.
 Assumes: nothing; one hop is enough on a complete graph.
 Messages: one broadcast per announcement; in flooding, about one per pursuer and announcement. A gossip message carries
     all known records. Reliable: also one acknowledgement per receiver, and the repetitions. Coded: one broadcast per
@@ -34,7 +34,7 @@ from desim.pursuit.team.agent import Agent, Process, merge_relayed
 from desim.pursuit.team.announcements import Forwarded
 
 PORT = ReservedPort("announcements", __name__)
-"""The port at which announcements arrive that are sent as messages: all but those of `OneHop`."""
+"""The port of announcements that are sent as messages, by all disseminations but `OneHop`."""
 
 
 class OneHop(Value):

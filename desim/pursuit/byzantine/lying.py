@@ -1,4 +1,4 @@
-"""The messages of a team of which some members misbehave: what they say replaces what their protocols say.
+"""The messages of a team of which some members misbehave: their false messages replace those of their protocols.
 
 An agent sends through a `Voice`, which in an honest team is the network (`desim.pursuit.team.agent`). Otherwise it is a
 `LyingTeam`, which replaces the messages of the pursuers whose Byzantine faults (`desim.pursuit.byzantine.lies`) are

@@ -114,7 +114,7 @@ class MaxMin(Fleeing):
 class MaxGeodesic(Fleeing):
     """Flee in the direction that maximises the least length of the paths from all pursuers after the look-ahead time.
 
-    It is for walls: where a straight flight ends in a corner, another direction keeps pursuers farther away. Without
+    Use it among walls: where a straight flight ends in a corner, another direction keeps pursuers farther away. Without
     walls, paths are straight.
     """
 
@@ -167,7 +167,7 @@ class Hide(Fleeing):
     """
 
     def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
-        """Return the heading to the nearest hiding place, 0 in it, or that of pure evasion."""
+        """Return the heading to the nearest hiding place: 0 if hidden, that of pure evasion without a place."""
         fled_from, space = self.fled_from(state), state.space
         if not len(fled_from.pursuers):
             return 0j

@@ -183,7 +183,7 @@ class MobilityTable(MobilityFile):
             raise ValueError(f"{self.file}: column {name!r} is different in each row, so it does not name the nodes")
 
     def _unit_of(self, name: str, first: str) -> Unit:
-        """Return the unit of the times, given that of the header, which may have none, and the first time."""
+        """Return the unit of the times, given the unit in the header ("" if none) and the text of the first time."""
         for unit, names in TIME_UNITS.items():
             if re.fullmatch(names, name, re.IGNORECASE):
                 return cast("Unit", unit)

@@ -106,7 +106,7 @@ class Dynamics(Protocol):
         """Return the initial headings, of length 1, of several players."""
 
     def steered(self, command: complex, course: Course, aim: complex, radius: float) -> complex:
-        """Return the velocity, m/s, that a pursuer commands instead of that of its guidance; it may be the same.
+        """Return the velocity, m/s, that a pursuer commands, given the velocity that its guidance commands.
 
         Args:
             command: the velocity that the guidance commands, m/s.

@@ -38,7 +38,7 @@ class InertialKinematics(Kinematics):
     def __init__(self, env: Clock, start: Points, dynamics: Sequence[Dynamics], headings: Points):
         super().__init__(env, start)
         self._dynamics, self._stays = dynamics, [is_ours(type(model)) for model in dynamics]
-        """`_stays`: by player, whether it stays in place if commanded to stand still; dynamics of a user may not."""
+        """`_stays`: by player, whether it surely stays in place if commanded to stand still, unlike a user's model."""
         self._pieces = [
             Piece(place, Course(0j, heading)) for place, heading in zip(start.tolist(), headings.tolist(), strict=True)
         ]

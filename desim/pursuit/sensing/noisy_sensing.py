@@ -251,7 +251,7 @@ class TrackingView(LimitedView):
             self._add(evader, sighting)
 
     def _report_of(self, evader: int) -> Sighted | Tracked | None:
-        """Return what it reports about an evader; None if it is too old, or nothing is known."""
+        """Return the report of this pursuer about an evader; None if its sighting or track is too old, or missing."""
         self._read_reports()
         oldest = self._clock.stamp - self._track_timeout
         if self._sensing.fusion == "by_stamp":

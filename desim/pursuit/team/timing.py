@@ -16,7 +16,7 @@ from desim.kernel.state.inbox import Inbox, Message
 RETURN_HINT = " (a protocol that has nothing left to wait for should return)"
 """Hint in error messages about an infinite, nan or negative waiting time."""
 MAX_AT_ONE_INSTANT = 100_000
-"""The number of times that a pursuer may wait for the present instant before it is told that time stands still."""
+"""Number of times that a pursuer may wait for the same instant; one time more raises `StandstillError`."""
 
 
 class StandstillError(RuntimeError):
