@@ -101,7 +101,7 @@ def advised(
 
 
 def _context_of(words: Sequence[str], program: click.Context | None) -> click.Context | None:
-    """Return a context of the command that is typed after the name of a program; the program's if no command is."""
+    """Return a context of the command that is typed after the name of a program, or of the program without one."""
     group = program and program.command
     name = next((word for word in words if isinstance(group, click.Group) and word in group.commands), None)
     if name is None or not isinstance(group, click.Group):
@@ -131,7 +131,7 @@ def check_hyphens(words: Iterable[str], context: click.Context) -> None:
 
 
 def check_empty(words: Sequence[str], context: click.Context) -> None:
-    """Raise UsageError if the value of an option is empty: -o "$OUT" where OUT is not set would mean this folder.
+    """Raise UsageError if the value of an option is empty: -o "$OUT" without OUT would mean the working folder.
 
     The arguments are those of `check_hyphens`.
     """
@@ -161,7 +161,7 @@ def _purpose(param: click.Parameter) -> str:
 
 
 def _accepted_arguments(context: click.Context, message: str) -> str:
-    """Return the arguments that a command takes, for a message about others; the message may quote a KEY=VALUE."""
+    """Return the arguments that a command takes, and how to quote them if the message is about a KEY=VALUE."""
     forms = [param.make_metavar(context) for param in context.command.params if isinstance(param, click.Argument)]
     text = f"{context.command_path} takes {' '.join(forms) or 'options only'}"
     if "=" not in message:
@@ -209,7 +209,8 @@ def _commands_with(option: str, context: click.Context) -> list[str]:
 def _keys(name: str, is_option_elsewhere: bool) -> list[str]:
     """Return the outermost keys of scenarios, at most three, whose last part is a name without hyphens.
 
-    If another command has an option of this name, the keys of properties and sweeps are left out: it is likelier.
+    If another command has an option of this name, the user more likely means that option than a key of a property or
+    sweep; these keys are left out.
     """
     from desim.config.key_index import homes_of
     from desim.config.key_suggestions import WORDS_FOR_KEYS
@@ -290,7 +291,7 @@ def problem(error: ValueError, **parameters: str) -> str:
 
     Args:
         error: the error.
-        parameters: the parameter of the command for each argument whose name is another one.
+        parameters: the parameter of the command for each argument of the function, where their names differ.
     """
     if isinstance(error, NoMetricError):
         return f"{metric_option()} {error.name}: {error}"

@@ -16,14 +16,14 @@ FATES: tuple[MessageFate, ...] = get_args(MessageFate)
 
 
 class FatalLosses(NamedTuple):
-    """Messages whose fates make a protocol violate a property that it keeps with any smaller part of them."""
+    """Messages whose fates make a protocol violate a property; with fewer of these messages, the property holds."""
 
     seed: int
     messages: tuple[MessageCopy, ...]
     fates: tuple[MessageFate, ...]
     """What becomes of each message."""
     delay: float
-    """The time by which messages are late, and after which they arrive once more, s."""
+    """The delay of late messages, and of the second arrival of repeated ones, s."""
     verdict: Judgement
     failure: str = ""
     """The exception that the run raises, as text; empty: it ends, and violates the property."""
@@ -43,7 +43,7 @@ class LossTable:
         most: the greatest number of messages, k.
         seeds: the seeds of the runs.
         fates: what may become of a message.
-        delay: the time by which messages are late, and after which they arrive once more, s.
+        delay: the delay of late messages, and of the second arrival of repeated ones, s.
         unit: the unit of margins.
         fatal: the choices that violate the property, the smallest first.
         runs: the number of runs.

@@ -5,14 +5,14 @@ by size, each as an extension of a smaller one by one message that matters in th
 of a message does not matter
 
 - if it is lost anyway;
-- if its receiver never looked while it was the newest of its sender there;
+- if its receiver never looked while it was the newest message of its sender that had arrived;
 - if it is a record that would be late, and its receiver did not look before its late arrival;
-- if it is a record that arrives twice: the second time, its receiver has this or a newer one;
+- if it is a record that arrives twice: the second time, its receiver has this record or a newer one;
 - if it would arrive twice, the second time after the end of the run.
 
-Why no choice is left out: within a choice T, grow a choice S by one message that matters in the run of S at a time,
-until no message of the rest R of T does. At each look the newest record that has arrived is then not in R, so the run
-of T is that of S, and S is tried.
+Why no choice is left out: let T be any choice. Let S begin empty, and add to it one message of T at a time that
+matters in the run of S, until no message in the rest R of T matters. The newest record that has arrived at a look is
+then never in R. So the runs of T and S are the same, and S is tried.
 
 Two choices whose messages matter are symmetric if their runs are the same: one loses a message that in the other is so
 late that nobody reads it. Of such a pair only the loss is run. Choices are sets, so the order of their messages does
@@ -74,11 +74,11 @@ def fatal_losses(
         scenario: the scenario; short runs with few messages are best, as the number of choices grows with the power
             `most` of the number of messages.
         prop: the property, or its text.
-        most: the greatest number of messages; if in doubt, 1, then 2.
+        most: the greatest number of messages of a choice; if in doubt, 1, then 2.
         seeds: the seeds; None: that of the scenario.
         fates: what may become of a message, each of "lost", "late" and "twice"; empty: late if there is a delay, else
             lost.
-        delay: the time by which messages are late, and after which they arrive once more, s; if in doubt, some more
+        delay: the delay of late messages, and of the second arrival of repeated ones, s; if in doubt, a little more
             than a time-out of the protocol.
         limit: the greatest number of runs of each seed.
         prune: whether choices with messages that do not matter, and symmetric ones, are left out; the result is the

@@ -189,7 +189,7 @@ def find_violation(
         timeout: the longest wall time of a run, s; None: no limit. A longer run has failed.
         budget: the time, s of wall time, after which the search ends. The time of the runs in `log` counts, so that a
             greater budget goes on where a smaller one ended. With a budget, the result depends on the speed of the
-            machine. A violation is made smaller whatever the budget.
+            machine. The budget does not limit the runs that make a violation smaller.
         shrinking: the greatest number of cases that are run to make a violation smaller.
         log: the log of earlier runs, which are not made again; new runs are added to it.
         on_case: called with each case, in order.
@@ -241,7 +241,7 @@ def features_of(
     """Return the built-in features with some names (None: all), and those of a user, whose values `vary` has by key.
 
     Raises:
-        ValueError: if there is no feature of a name, there are none at all, or the scenario takes no such value.
+        ValueError: if there is no feature of a name, there are none at all, or the scenario refuses a value of `vary`.
     """
     listed: Any = [*FEATURES] if names is None else [names] if isinstance(names, str) else names
     if not isinstance(listed, Collection) or not all(isinstance(name, str) for name in listed):
@@ -305,7 +305,7 @@ class _Cases:
 def _smallest(
     scenario: Scenario, prop: Property, violating: Tried, searched: int, budget: int, judge_run: CaseJudge
 ) -> Violation:
-    """Return the violation with the smallest case that is broken alike; see `shrunk`."""
+    """Return the smallest violation that fails as `violating` does; see `shrunk`."""
     best, runs = shrunk(scenario, violating, judge_run, budget)
     changed = applied(scenario, best.case)
     return Violation(changed, best.seed, prop, best.verdict, best.case, violating.case, searched, runs, best.failure)

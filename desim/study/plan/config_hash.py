@@ -51,7 +51,7 @@ UNSWEPT = MappingProxyType(
 """The keys that are no part of a configuration, and why they cannot be swept."""
 CODE = ("code", "names", "varnames", "freevars", "consts", "exceptiontable", "flags")
 COUNTS = ("argcount", "posonlyargcount", "kwonlyargcount")
-"""The attributes of compiled code that do not depend on the place of its source, without their prefix `co_`."""
+"""The numbers of arguments among the attributes of compiled code, without their prefix `co_`."""
 PICKLED = {NoneType, bool, int, float, list, dict}
 """The types whose pickle is the same in every process."""
 WRAPPED = {cached_property: "func", type(cache(len)): "__wrapped__"}
@@ -161,8 +161,8 @@ class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
     def persistent_id(self, value: Any) -> Any:
         """Return a substitute for an object whose pickle depends on the process; None for any other object.
 
-        The data files that the object declares are added to `user`, and so is its module if it is a module,
-        or a function or class that can be imported.
+        The data files that the object declares are added to `user`. A module is added, too, and so is the module of a
+        function or class that can be imported.
 
         Raises:
             TypeError: if the object is a set, but no plain `set` or `frozenset`, because its order is not stable.

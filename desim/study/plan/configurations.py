@@ -280,7 +280,7 @@ def with_place(error: ScenarioError, source: Source, settings: Iterable[str] = (
 
 
 def _swept_above(key: str, settings: Iterable[str]) -> str | None:
-    """Return the key of a grid that is a dotted key, or a table that contains it; None if there is none."""
+    """Return the key of a grid that equals a dotted key, or that is a table around it; None if there is none."""
     return next((setting for setting in settings if f"{key}.".startswith(f"{setting}.")), None)
 
 

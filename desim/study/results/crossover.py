@@ -64,10 +64,10 @@ class Crossover:
     values: int = 1
     """The number of values of the key."""
     is_told_apart: bool = True
-    """Whether a paired t test tells the two apart at one of the values beyond `at`, or at any if they do not cross.
+    """Whether a paired t test tells the two curves apart at a value beyond `at`, or at any if they do not cross.
 
-    The level is 1 - `confidence` for all values of the key together (Bonferroni): of two equal curves over 16 values, a
-    test at each would find a winner in a quarter of all studies.
+    The level is 1 - `confidence` for all values of the key together (Bonferroni). Without this correction, a quarter of
+    all studies of two equal curves over 16 values would find a winner.
     """
 
     @property
@@ -194,9 +194,10 @@ class Crossover:
 
 
 def are_told_apart(x: Sequence[float], by_seed: Floats, at: float | None, confidence: float) -> bool:
-    """Return whether a test at a value beyond `at` (None: at any value) excludes 0, with the sign of the last mean.
+    """Return whether a test at a value beyond `at` (None: at any value) excludes 0.
 
-    `by_seed` has the differences of the curves, (seeds, values). The level is 1 - `confidence` for all values together.
+    Only mean differences with the sign of the last one count. `by_seed` has the differences of the curves, (seeds,
+    values). The level is 1 - `confidence` for all values together.
     """
     level = 1.0 - (1.0 - confidence) / len(x)
     beyond = [estimate(column) for value, column in zip(x, by_seed.T, strict=True) if at is None or value > at]
@@ -277,7 +278,8 @@ def undecided_parts(x: Sequence[float], by_seed: Floats, confidence: float) -> l
     """Return the intervals of points at which the paired t interval of the interpolated difference includes 0.
 
     On a segment with differences d and e at its ends, the difference at a share u is d + u (e - d), with the mean
-    m + u s and the variance v + 2 u c + u^2 w: m and v are of d, s and w are of e - d, and c is the covariance of both.
+    m + u s and the variance v + 2 u c + u^2 w. Here d has the mean m and the variance v, e - d the mean s and the
+    variance w, and c is the covariance of both.
     The t interval includes 0 where the quadratic (m + u s)^2 - q (v + 2 u c + u^2 w) is not positive; q = t^2 / runs.
     """
     runs = len(by_seed)

@@ -48,8 +48,8 @@ class SweepResult(TabularResult, SweepRuns, HintedAttributes):
     ) -> Self:
         """Return the result of the runs in a store, for the configurations with the given hashes; None = all.
 
-        Given configurations keep their order. Those of a whole store, which may come from several grids, are in
-        numeric order of the keys that take numbers; other values are in the order of the grid that was run last.
+        Given configurations keep their order. A whole store may have configurations of several grids: the values of a
+        key that takes only numbers ascend, and other values are in the order of the grid that was run last.
 
         The rows of `failed`, by (configuration hash, replication), replace the rows of the same runs in the store.
 
@@ -226,7 +226,7 @@ class SweepResult(TabularResult, SweepRuns, HintedAttributes):
         where: Mapping[str, Any] | None = None,
         confidence: float = 0.95,
     ) -> Crossover:
-        """Return from which value of a key on one of two curves is better than the other, with an interval.
+        """Return the value of a key from which one of two curves is better than the other, with an interval.
 
             swept.crossover("active_time", "network.latency.value", {"protocol": "sap"}, {"protocol": "cbba"})
 
@@ -259,7 +259,7 @@ class SweepResult(TabularResult, SweepRuns, HintedAttributes):
         where: Mapping[str, Any] | None = None,
         confidence: float = 0.95,
     ) -> Threshold:
-        """Return from which value of a key on a metric exceeds its baseline by a share, with an interval.
+        """Return the value of a key from which a metric exceeds its baseline by a share, with an interval.
 
             swept.threshold("active_time", "network.loss.p", 0.1)
 

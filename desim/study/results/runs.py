@@ -245,9 +245,9 @@ class SweepRuns:
 
     @property
     def drawn_keys(self) -> list[str]:
-        """The keys of which a design drew numbers: two of them have hardly more pairs of values than values.
+        """The keys whose numbers a design drew: two such keys have hardly more pairs of values than one has values.
 
-        There are none in a grid, in which each value of a key occurs with each value of another.
+        A grid has no such keys, because each value of one key occurs with each value of another.
         """
         columns = {key: [group.settings[key] for group in self.groups] for key in self.keys}
         counts = {key: len(set(map(repr, values))) for key, values in columns.items()}
@@ -268,13 +268,12 @@ class SweepRuns:
         return [first.setdefault(other, k) for k, other in enumerate(other_settings)]
 
     def warnings(self, metrics: Sequence[str] = SHOWN) -> list[str]:
-        """Return a warning if no run captured, and one for each key on which nothing that is shown depends.
+        """Return a warning if capture times are shown but no run captured, and one for each key without effect.
 
-        Shown are `captured` and the given metrics. If no run ended by a capture, and a time of captures is shown, the
-        horizon may be too short. Runs with the same seed that differ only in a key without effect agree in all these
-        metrics, bit for bit. A warning may also be limited to one value of another key, for example to one protocol.
-        There is no such warning if seeds are independent, or if a run failed. `SweepPlan.warnings` returns the warnings
-        that need no runs.
+        A key has no effect if runs with the same seed that differ only in this key agree, bit for bit, in `captured`
+        and the given metrics. This may hold only for one value of another key, for example for one protocol; the
+        warning then says so. There are no warnings about keys if seeds are independent, or if a run failed.
+        `SweepPlan.warnings` returns the warnings that need no runs.
         """
         metrics = names_of_metrics(metrics)
         no_captures = [] if (sentence := self._without_capture(metrics)) is None else [sentence]
@@ -379,7 +378,7 @@ def text(value: Any) -> str:
 
 
 def _says(value: Any, number: Any) -> bool:
-    """Return whether a value is a text that says a number, such as "0.50" or "5e-1" for 0.5."""
+    """Return whether a value is a text of the given number, such as "0.50" or "5e-1" of 0.5."""
     if not isinstance(value, str) or not is_number(number):
         return False
     try:
@@ -389,7 +388,7 @@ def _says(value: Any, number: Any) -> bool:
 
 
 def labels_of_values(result: SweepRuns, labels: Mapping[str, str], names: Collection[str] = ()) -> dict[str, str]:
-    """Return labels by value as shown, given labels by value, by kind of a value, or by another text of a number.
+    """Return labels by value as tables show it; they may be given by the kind of a value, or another text of a number.
 
     Args:
         result: the result of a sweep.

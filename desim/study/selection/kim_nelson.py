@@ -39,7 +39,8 @@ MIN_ZONE, MAX_ZONE = 1e-100, 1e100
 ENOUGH = ceil(NORMAL_975**2 * (1.0 - OTHERS) / OTHERS)
 """The number of samples, 73, after which two systems with the same difference in all samples have a variance of 0.
 
-By Wilson's interval, at most a share `OTHERS` of all samples then has another difference, as in a sequential study.
+By Wilson's interval, at most a share `OTHERS` of all samples then has another difference. Equal values end a
+sequential study at the same share.
 """
 Sample = Callable[[Sequence[int], int], Sequence[float]]
 """Returns a sample of each of some systems, given the numbers of the systems and of the replication, from 0 on."""
@@ -62,8 +63,8 @@ class Selection:
     selected: int
     """The system with the best mean among those that were left."""
     left: tuple[int, ...]
-    """The systems that were left at the end: only `selected`, unless the means decided at the last sample, or the
-    number of samples was limited."""
+    """The systems that were left at the end. There are several if the largest number of samples was reached, or if all
+    margins were 0, so that the greater mean was selected."""
     dropped: tuple[Dropped, ...]
     """The other systems, in the order in which they were dropped."""
     is_decided: bool
@@ -85,7 +86,7 @@ def check_confidence(confidence: float, systems: int) -> float:
     """Return the probability of a correct selection as a `float`.
 
     Raises:
-        ValueError: if `confidence` is not between 1/k, which a guess has, and 1.
+        ValueError: if `confidence` is not between 1/k, the probability of a guess, and 1.
     """
     confidence = real(confidence, "confidence")
     if not 1.0 / systems < confidence < 1.0:
@@ -147,8 +148,8 @@ def kim_nelson(
         systems: the number of systems, k.
         zone: the indifference zone, the smallest difference of means that matters, in the unit of the samples.
         confidence: the probability of a correct selection, in (1/k, 1).
-        first: the number of first samples, from which variances are estimated; at least 2; if in doubt, 20: few make
-            the procedure cautious, and many are too many for systems that are far behind.
+        first: the number of first samples, from which variances are estimated; at least 2; if in doubt, 20. Few samples
+            make the procedure cautious, and many are wasted on systems that are far behind.
         maximise: whether the greatest mean is the best, instead of the least.
         most: the largest number of samples of a system; None = as many as the guarantee needs.
 

@@ -69,7 +69,7 @@ def sweep(
             a batch system, such as submitit's; `desim.study.workers.batch_system.JobWorkers` chooses how many jobs.
         seed: the root seed, from which the seeds of all runs are derived; None = the seed of the scenario.
         design: which points of the ranges of the grid are run, "sobol:64" for instance (`desim.scenario.sweep_table`);
-            None = that of `scenario.sweep` with its grid, and no design with another grid.
+            None = the design of `scenario.sweep` if its grid is used, else no design.
         store: the file to which each batch of runs is added as it ends; successful runs in it are not repeated; None =
             no file.
         until: a metric and a half width: each configuration is run until the 95 % interval of the mean of the metric
@@ -81,8 +81,8 @@ def sweep(
             `desim.simulation.watchdog`.
         metrics: metrics to compute in addition to the built-in ones, by name; see `desim.analysis.metrics`. A stored
             run that lacks one of them is repeated. If a metric raises an exception, its run counts as failed.
-        mix_versions: whether runs may be added to a store of which another Python or other versions of numpy, scipy,
-            SimPy or networkx computed the runs. Last digits may then differ between runs.
+        mix_versions: whether runs may be added to a store whose runs were computed by another Python or other versions
+            of numpy, scipy, SimPy or networkx. Last digits may then differ between runs.
 
     Raises:
         TypeError: if `scenario` is no scenario, or the grid is not a mapping; the message says what to write instead.

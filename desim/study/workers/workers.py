@@ -35,7 +35,8 @@ class Workers:
     batch_size = 64
     """The largest number of runs in a batch."""
     shares = 2
-    """The number of batches that each worker still gets at the end; more balance unequal runs, fewer cost less."""
+    """The number of batches per worker into which the last waiting runs are divided: a greater number balances unequal
+    runs, a smaller one costs less."""
     timeout: float | None = None
     """The wall time of a run, s, after which it counts as failed; None: no limit; see `workers_for`."""
 
@@ -131,7 +132,7 @@ class Processes(Workers):
 
     def __init__(self, count: int, *, kept: bool = False):
         self._kept = kept
-        self._pools: list[Executor] = []  # at most one, which copies with another time-out share; see `workers_for`
+        self._pools: list[Executor] = []  # at most one; copies made by `workers_for` share this list
         super().__init__(_pool(count, kept=kept), count)
 
     @property
@@ -215,7 +216,7 @@ def _pool(count: int, *, kept: bool) -> Executor:
 
     If `kept` is true, the pool is new. Otherwise it is loky's reusable pool, which all such callers share.
     """
-    from multiprocessing import resource_tracker  # neither is in a browser, where runs are made in this process
+    from multiprocessing import resource_tracker  # a browser lacks this module and loky, and makes runs in this process
 
     from loky import ProcessPoolExecutor, get_reusable_executor
 
