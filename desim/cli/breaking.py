@@ -193,7 +193,7 @@ class _Search:
         return self.folder / "smallest.toml"
 
     def run_kept(self, keep: Path) -> None:
-        """Run the kept cases of the protocol and of the property, and end the program if one still violates it.
+        """Run the kept cases of the protocol and the property, and end the program if one still fails.
 
         With several jobs, cases run in worker processes: a case that ends its process then does not end the program.
         """

@@ -103,11 +103,11 @@ def crossover(
     where: tuple[tuple[str, str], ...],
     as_json: bool,
 ) -> None:
-    """Say from which value of KEY on A is better than B in a sweep, or the metric over a share, with a 95 % interval.
+    """Find the value of KEY from which A is better than B in a sweep, with a 95 % interval.
 
     A and B are values of another key, for instance: desim crossover out/relay network.latency.value protocol=sap
-    protocol=cbba. With --over, the curve is compared with its own baseline: desim crossover out/relay
-    network.latency.value --over 10%
+    protocol=cbba. With --over, find the value of KEY from which the metric differs from its baseline by a share: desim
+    crossover out/relay network.latency.value --over 10%
     """
     from desim.study.results.result import SweepResult
     from desim.study.sweeps.folder import open as open_results

@@ -26,7 +26,7 @@ def described(
 ) -> Iterator[str]:
     """Yield lines that describe a model, its parameters and, recursively, the models that these may hold.
 
-    Each model is described once: `described_models` collects them, and of a model in it only the first line is yielded.
+    Each model is described once: `described_models` collects them, and a model in it yields only its first line.
     """
     described_models = set() if described_models is None else described_models
     yield f"{indent}{title}: {summary(model)}"

@@ -24,7 +24,7 @@ from desim.simulation.watchdog import OUT_OF_MEMORY, TimedOut
 
 
 def released(error: BaseException | None) -> None:
-    """Release the objects that the calls of an exception, and of earlier ones, hold: a message needs memory, too."""
+    """Release the objects that the calls of an exception and of earlier ones hold: its message needs memory, too."""
     while error is not None:
         error.__traceback__, error.__cause__, error.__context__, error = None, None, None, error.__context__
 

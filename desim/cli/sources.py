@@ -46,9 +46,9 @@ def source_of(
 
 
 def added_metrics(metric: str) -> tuple[str, ...]:
-    """Return the metrics that -y adds to those of a scenario: its metric if it is installed or MODULE:FUNCTION.
+    """Return the metric of -y if it is added to those of the scenario: an installed one or a MODULE:FUNCTION.
 
-    Any other metric is a built-in one, or the scenario file names it.
+    Any other metric is built in, or the scenario file names it already.
     """
     from desim.scenario.named_metrics import installed_metrics
 
@@ -169,8 +169,8 @@ def valid(source: "Source") -> "Scenario":
 def protocol_of(text: str, option: str) -> Any:
     """Return the protocol that an option names as KIND, MODULE:NAME, FILE.py:NAME, or { kind = ..., ... }.
 
-    A module is an installed one, or lies in the working folder or in that of the file. End the program if it is
-    invalid, or names code without --allow-import.
+    A module is an installed one, or lies in the working folder or in that of the file. End the program if the protocol
+    is invalid, or is code and --allow-import is missing.
     """
     from desim.scenario.overrides import ScenarioError, Source
     from desim.scenario.scenario import Scenario

@@ -163,7 +163,7 @@ def _job(folder: Path, plan: "SweepPlan", parts: int, claim: bool) -> "ArrayJob"
 
 
 def _check_stores(job: "ArrayJob", plan: "SweepPlan", folder: Path, *, mix_versions: bool) -> None:
-    """Raise StoreError if the stores in a folder are of another sweep: parts would find out only after the queue."""
+    """Raise StoreError if the stores in a folder are of another sweep; parts would find out only after queueing."""
     from desim.config.file_names import STORE
     from desim.study.store.store import Store
 
@@ -238,7 +238,7 @@ def _submit(job: "ArrayJob", folder: Path, which: str, *, is_run: bool) -> None:
 @click.argument("folder", type=PATH)
 @JSON
 def status(folder: Path, as_json: bool) -> None:
-    """Say how far a sweep is: runs that are done and failed, from its stores, and what runs, from squeue."""
+    """Say how far a sweep is: how many runs are done or failed, and which parts wait or run in Slurm."""
     from desim.study.sweeps.status import status as status_of
 
     with storing(folder):

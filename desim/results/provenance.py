@@ -56,7 +56,7 @@ PARTS: Mapping[str, str] = {
     "libc": "the C library",
     "implementation": "the implementation of Python",
 }
-"""The parts of an environment in messages, by their keys in `versions` and `platform`; all others are packages."""
+"""The parts of an environment in messages, by their keys in `versions` and `platform`; other keys are packages."""
 WORDS: Mapping[type, str] = {
     str: "a string",
     int: "an integer",
@@ -234,7 +234,7 @@ def _overridable(scenario: Document) -> Document:
     from desim.kernel.models.links import Links
     from desim.kernel.models.presets import PRESETS
 
-    # The name is a text also if it is "Infinity".
+    # A scenario with the name "Infinity" keeps this text.
     tables: Document = {key: value if key == "name" else from_json(value) for key, value in scenario.items()}
     network = tables.get("network")
     if isinstance(network, dict) and ((preset := network.get("preset")) is None or str(preset) in PRESETS):

@@ -5,7 +5,7 @@ an imperfection is the paired difference between the scenario as it is and the s
 add up to the difference that all imperfections make together, the imperfections interact. For example, if either of two
 imperfections is enough to delay a capture, removing one alone saves nothing.
 
-Two more variants bound the effect of the network: a perfect network, and no messages at all. All else is as it is. If
+Two more variants bound the effect of the network: a perfect network, and no messages at all; nothing else changes. If
 the two are equal in every run, the network does not matter in this scenario.
 
 An interaction is declared only if its 99 % interval, corrected for the number of metrics, excludes 0

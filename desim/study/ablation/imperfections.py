@@ -196,9 +196,9 @@ def without_flow(scenario: Scenario) -> Scenario:
 
 
 def without_walls(use: What) -> Callable[[Scenario], Scenario]:
-    """Return a function that returns a scenario in which no wall blocks radio, sight or motion.
+    """Return a function that returns a scenario in which no wall blocks one use: radio, sight or motion.
 
-    Players start where they start among the walls: a wall that blocked motion still blocks starting positions.
+    Initial positions stay the same: a wall that blocked motion still blocks starting positions.
     """
 
     def without(scenario: Scenario) -> Scenario:
@@ -254,7 +254,7 @@ PERFECT_NETWORK = (
     without_range,
     without_walls("radio"),
 )
-"""The removals that make everything arrive at once. While nodes contend, `without_latency` would keep the airtime."""
+"""The removals that make everything arrive at once. Under contention, `without_latency` would keep the airtime."""
 
 
 def with_perfect_network(scenario: Scenario) -> Scenario:

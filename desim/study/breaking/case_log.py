@@ -42,9 +42,8 @@ FIELDS = {"search", "scenario", "seed", *CaseRun._fields}
 class CaseLog:
     """The runs that a search has judged, one line of JSON each.
 
-    A run is identified by its scenario, the user code that it runs, and its seed, whatever the case from which the
-    scenario was made. Lines of another property or version are not read, nor is a last line that was cut off. The file
-    need not exist.
+    A run is identified by its scenario, the user code that it runs, and its seed; two cases may give the same scenario.
+    Lines of another property or version are not read, nor is a last line that was cut off. The file need not exist.
 
     Raises:
         OSError: if the file cannot be read, or is a symbolic link.

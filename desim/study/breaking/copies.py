@@ -17,7 +17,7 @@ from desim.simulation.run import Result
 
 
 class MessageCopy(NamedTuple):
-    """A message to one receiver: a broadcast is one for each of its receivers."""
+    """A message to one receiver; a broadcast counts as one message for each receiver."""
 
     number: int
     """The number, from 1 on, in the order of sending."""

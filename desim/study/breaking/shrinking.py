@@ -1,6 +1,6 @@
 """Makes the case of a violation smaller as long as the *same* property stays violated.
 
-A shrinker that accepts any violation slips to another failure than the one that was found.
+A shrinker that accepts any violation may end with a failure other than the one that was found.
 """
 
 from collections.abc import Callable, Collection, Iterator
@@ -72,7 +72,7 @@ Simplification = Callable[[Tried], Case | None]
 
 
 def _simplifications(scenario: Scenario, tried: Tried) -> Iterator[Simplification]:
-    """Yield the simplifications of a case, those that save most first; each will get the smallest case up to then."""
+    """Yield the simplifications of a case, those that save most first; each is given the smallest case so far."""
     names = [name for name in tried.case if name != "horizon"]
     if len(names) > 2:  # half of the features at once
         yield partial(_without, names[::2])

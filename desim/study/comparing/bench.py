@@ -86,7 +86,7 @@ def bench(
 
 
 def _by_name(protocols: Any, suite: Suite) -> dict[str, Any]:
-    """Return protocols by their names in the table; a name of a built-in protocol gets a suffix."""
+    """Return protocols by their names in the table; a name that a built-in protocol has gets a suffix."""
     if isinstance(protocols, Mapping) and "kind" not in protocols:
         pairs = [(str(name), protocol) for name, protocol in protocols.items()]
     else:

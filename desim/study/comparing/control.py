@@ -1,7 +1,7 @@
 """Sweeps with a control variate: another protocol in the same runs, whose mean is known from many cheap runs.
 
 `desim.analysis.control_variates` has the estimate. A control that knows everything and sends nothing is run on a
-perfect network, which changes nothing in its runs. Configurations that differ only in the network then share them.
+perfect network, which changes nothing in its runs. Configurations that differ only in the network share these runs.
 """
 
 from collections.abc import Iterator, Sequence
@@ -55,7 +55,8 @@ class ControlPlan:
     def of(cls, swept: SweepPlan, protocol: Any = CONTROL, runs: int | None = None) -> "ControlPlan":
         """Return the plan of a control for the configurations of a sweep.
 
-        The control is a kind, a table, or an object. It has `TIMES` as many runs as a configuration if `runs` is None.
+        The control is a kind, a table, or an object. If `runs` is None, it has `TIMES` times as many runs
+        as a configuration.
 
         Raises:
             ValueError: if seeds are independent, there are too few runs, or all configurations are the control itself.
@@ -239,8 +240,8 @@ def controlled(
     """Perform a sweep, and make its means more precise by a control variate.
 
     With the same seed, a run of another protocol has the same initial positions, so its metrics explain a share of the
-    variance. Use it if runs are slow and many configurations share a cheap control, as those of a grid over properties
-    of the network share `centralised`. It does not help paired differences: equal seeds already remove this share.
+    variance. Use this function if runs are slow and many configurations share a cheap control: over properties of the
+    network, all share `centralised`. It does not help paired differences: equal seeds already remove this share.
 
         print(controlled(scenario, {"network.latency": [0.0, 0.2, 0.5]}, reps=50))
 

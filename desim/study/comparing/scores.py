@@ -5,9 +5,9 @@ on the network of the scenario and on a perfect one, all in runs with the same s
 
     score = (Z - A) / (Z - P),    quality = (Z - Q) / (Z - P),    loss = quality - score = (A - Q) / (Z - P).
 
-So 1 is what the reference does on an ideal network, and 0 what it does without any message. The bounds are those of one
-protocol for all: if each had its own, a protocol that does badly on an ideal network would need little of it, and look
-robust. `quality` is what a protocol does on a perfect network, and `loss` what the network of the scenario costs it.
+So 1 is what the reference does on an ideal network, and 0 what it does without any message. All protocols share these
+bounds. With bounds of its own, a protocol that does badly even on an ideal network would lose little without one, and
+look robust. `quality` is what a protocol does on a perfect network, and `loss` what the network of the scenario costs.
 
 The interval of such a ratio r is that of the mean of ((Z_i - A_i) - r (Z_i - P_i)) / (Z - P) over the seeds i, the
 linearised ratio of paired values (Cochran 1977, "Sampling Techniques", section 2.11), with Student's t. It needs a
@@ -118,7 +118,7 @@ class Benchmark(TabularResult):
     """The names of the protocols of the caller."""
     absent: tuple[NoPart, ...] = ()
     frozen: Mapping[str, CostsByProtocol] = field(default_factory=dict)
-    """The costs of all runs of the version by scenario, if it has them and they are more than `costs`.
+    """The costs of all runs of the version, by scenario; empty if it has no costs, or `costs` has all its runs.
 
     Their bounds decide which scenarios are kept, so that a benchmark of few runs keeps the same scenarios.
     """
@@ -129,7 +129,7 @@ class Benchmark(TabularResult):
         return len(next(iter(self.costs.values()))[REFERENCE][PERFECT])
 
     def apart(self, scenario: str) -> float:
-        """Return the distance of the bounds of a scenario in standard errors; inf if it is the same for all seeds."""
+        """Return the distance of the bounds of a scenario in standard errors; inf if it is above 0 without error."""
         reference = self.frozen.get(scenario, self.costs[scenario])[REFERENCE]
         difference = estimate(reference[SILENT] - reference[PERFECT])
         if not difference.standard_error:

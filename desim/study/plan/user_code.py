@@ -58,7 +58,7 @@ class UserCode:
         source = file.read_bytes()
         self._modules.add(name)
         key = plain_name(name)
-        while key in self.code:  # a module of the same name beside another file
+        while key in self.code:  # another module of this name lies beside another scenario file
             key += "'"
         self.code[key] = content_hash(source)
         parent, folder = name.rpartition(".")[0], folder_in_name(name)
@@ -69,7 +69,7 @@ class UserCode:
         return True
 
     def add_imported(self, names: Iterable[str]) -> None:
-        """Add modules that code may import: of an installed package only its version, as the import may not run."""
+        """Add modules that code may import: of an installed package only its version, because the code may not run."""
         for module in names:
             package = package_of(module)
             if (package_file := _file(package)) is None or not is_installed(package_file):

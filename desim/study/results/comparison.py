@@ -47,7 +47,7 @@ class Compared:
     def counts(self) -> tuple[int, int, int]:
         """The numbers of runs of the first mean, the second mean and the difference, if no run lacks a value.
 
-        With pairs, all three are the number of pairs. A table shows the number of runs of an estimate that has others.
+        With pairs, all three are the number of pairs. A table shows the number of runs only where it differs.
         """
         return (self.pairs,) * 3 if self.pairs else (*self.runs, min(self.runs))
 
@@ -62,7 +62,7 @@ class Comparison(TabularResult):
     """The keys of the grid that tell the configurations apart."""
     configurations: tuple[Compared, ...]
     unmatched: tuple[int, int]
-    """The number of configurations that only the first sweep has, and that only the second has."""
+    """The numbers of configurations that only the first sweep has, and that only the second has."""
     units: Mapping[str, str]
     """The unit of each metric that is not built in."""
     changes: Mapping[str, tuple[str, str]]

@@ -117,7 +117,8 @@ def notes(result: SweepRuns, metrics: Sequence[str]) -> Iterator[str]:
 def document(result: SweepRuns, metrics: Sequence[str], against: Mapping[str, Any] | None = None) -> dict[str, Any]:
     """Return means, half widths and paired differences as JSON-compatible values; None where undefined.
 
-    Each difference is from the configuration with the settings `reference`. If seeds are independent, there are none.
+    The entry `reference` has the settings of the configuration from which a difference is taken. If seeds are
+    independent, there are no differences.
 
     Raises:
         ValueError: as `tables`.

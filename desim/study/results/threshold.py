@@ -1,4 +1,4 @@
-"""From which value of a key on a metric exceeds its baseline by a share, with a confidence interval: what costs 10 %?
+"""The value of a key from which a metric exceeds its baseline by a share, with its interval: what costs 10 %?
 
 A run with the metric y at a value of the key, and b at the baseline with the same seed, gives the difference
 y - (1 + share) b. Where its mean changes sign, the ratio of the means is 1 + share. The t test of this difference is
@@ -37,7 +37,7 @@ from desim.study.results.runs import SweepRuns, text
 
 @dataclass(frozen=True)
 class Threshold:
-    """The value of a key from which on a metric differs from its baseline by more than a share."""
+    """The value of a key from which a metric differs from its baseline by more than a share."""
 
     metric: str
     key: str
@@ -46,10 +46,10 @@ class Threshold:
     baseline: Any
     """The value of the key at the baseline."""
     at: float | None
-    """The value from which on the interpolated mean exceeds the share; None = from no value on, or at all values.
+    """The value from which the interpolated mean exceeds the share; None = there is no such value, or all are such.
 
-    If the mean exceeds the share at the least value of the key but not at the greatest: the first value at which it
-    ceases to.
+    If the mean exceeds the share at the least value of the key but not at the greatest, `at` is the first value at
+    which it no longer does.
     """
     is_beyond: bool | None
     """True: the mean exceeds the share beyond `at`, or everywhere; False: below `at`, or nowhere; None: not decided."""
@@ -126,14 +126,14 @@ class Threshold:
         where: Mapping[str, Any] | None = None,
         confidence: float = 0.95,
     ) -> Self:
-        """Return from where on a metric exceeds its baseline; see `SweepResult.threshold`."""
+        """Return the value from which a metric exceeds its baseline; see `SweepResult.threshold`."""
         check_paired(result, metric, confidence)
         over = real(over, "over")
         if not over or not -1.0 < over < inf:
             raise ArgumentError("over", f"should be a share, 0.1 for 10 %, above -1 and not 0, got {over:g}")
         reference, x, values, bases = _beside_baseline(result, metric, key, baseline, where or {})
         sign = 1.0 if over > 0.0 else -1.0
-        # Positive where the metric is beyond the share, on whichever side.
+        # Positive where the metric is beyond the share, above or below the baseline.
         excess = sign * differences(values, (1.0 + over) * bases[:, None])
         means = excess.mean(axis=0).tolist()
         crossings, undecided = sign_changes(x, means), undecided_parts(x, excess, confidence)
@@ -192,7 +192,7 @@ def _beside_baseline(
 
 
 def _relative(values: Floats, bases: Floats, confidence: float) -> CrossoverInterval:
-    """Return Fieller's interval of mean(values) / mean(bases) - 1 for pairs; infinite if the base may be 0.
+    """Return Fieller's interval of mean(values) / mean(bases) - 1 for pairs; infinite if mean(bases) may be 0.
 
     It holds the ratios r at which the paired t interval of values - r bases includes 0: between the roots of
     (m - r n)^2 = q (v - 2 r c + r^2 w), with the means m and n, the variances v and w, the covariance c, and

@@ -57,7 +57,7 @@ class RaceResult(TabularResult):
 
     @property
     def runs(self) -> int:
-        """The number of runs of all configurations that decided."""
+        """The number of runs that the race took, of all configurations together."""
         return self.selection.total
 
     @property

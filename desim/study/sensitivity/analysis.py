@@ -1,8 +1,8 @@
 """Sensitivity analysis: runs at the points of trajectories, and then at the points of Sobol matrices.
 
-Screening comes first. A key whose mean absolute effect is below a tenth of the greatest, by the upper end of its
-interval, keeps the middle of its range afterwards, so that the many points of the indices are spent on the other keys.
-All points have the same seeds.
+Screening comes first. A key is screened out if the upper end of the interval of its mean absolute effect is below a
+tenth of the greatest effect. It then keeps the middle of its range, so that the many points of the indices are spent on
+the other keys. All points have the same seeds.
 """
 
 from collections.abc import Sequence
@@ -154,7 +154,7 @@ class Analysis:
         return cls(source, ranges, metric, unit, points, trajectories, plan)
 
     def carry_out(self, store: Store, workers: Workers, *, mix_versions: bool = False) -> SensitivityResult:
-        """Perform the runs that a store lacks, and return what decides.
+        """Perform the runs that a store lacks, and return the result.
 
         Raises:
             StoreError: if the store belongs to another sweep; see `SweepPlan.register`.

@@ -2,13 +2,13 @@
 
 Source: Morris 1991, "Factorial Sampling Plans for Preliminary Computational Experiments". Each trajectory begins at a
 random point of a grid of `LEVELS` levels, and changes one input after another by `STEP`, up or down, in random order.
-The change of the model divided by `STEP` is an elementary effect: the change over the whole range, if it were linear.
-The step of an input with few values (a list or whole numbers) goes over half of them; the effect of a list is the
-change itself.
+The change of the model divided by `STEP` is an elementary effect: the change over the whole range, if the model were
+linear. The step of an input with few values (a list or whole numbers) goes over half of them; the effect of a list is
+the change itself.
 
 The mean of absolute effects (mu*, Campolongo et al. 2007, "An effective screening design for sensitivity analysis of
 large models") is 0 for an input without effect. An input that only changes random numbers has a mean absolute effect,
-too: compare it with `of_chance`, which the scatter of the runs at a point makes alone. The standard deviation of
+too: compare it with `of_chance`, the one that the scatter of the runs at a point would give. The standard deviation of
 effects is 0 for an input with a linear effect, and large for an input with interactions or a nonlinear effect.
 """
 
@@ -39,7 +39,7 @@ class ElementaryEffects:
     deviation: tuple[float, ...]
     """sigma: the standard deviation of the effects."""
     of_chance: tuple[float, ...] = ()
-    """The mean absolute effect that chance alone makes of each input, by the scatter of the runs; () if unknown."""
+    """The mean absolute effect that chance alone would give each input, by the scatter of the runs; () if unknown."""
 
     def within_chance(self) -> list[int]:
         """Return the inputs whose mu* is above 0, and not told apart from that of chance alone."""

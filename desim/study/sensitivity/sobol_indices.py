@@ -103,8 +103,8 @@ def bootstrap_ends(size: int) -> Floats:
     """Return the two percentiles of bootstrap samples, in %, that bound the 95 % interval of a mean of n values.
 
     A resampled mean varies less than the mean, by the factor sqrt(1 - 1/n), and is normal instead of Student's t: for
-    ten values, plain percentiles cover the mean in 90 % of cases instead of 95 %. Both factors therefore widen the
-    percentiles (the expanded interval of Hesterberg 2015, "What Teachers Should Know About the Bootstrap").
+    ten values, plain percentiles cover the mean in 90 % of cases instead of 95 %. The percentiles are therefore widened
+    for both reasons (the expanded interval of Hesterberg 2015, "What Teachers Should Know About the Bootstrap").
     """
     from scipy.special import ndtr
 

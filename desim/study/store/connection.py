@@ -23,7 +23,7 @@ def address_of(path: Path, read_only: bool, network: str = "") -> str:
     or -journal) has content, the file is therefore opened read-only instead.
 
     On a network file system, a reader never writes: without locks, it could take the journal of a living writer on
-    another host for that of a dead one, and undo it. On a file system without locks, SQLite uses none.
+    another host for that of a dead one, and undo it. If the network file system has no locks, SQLite uses none.
 
     Args:
         path: the path of the file.

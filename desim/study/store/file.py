@@ -60,8 +60,8 @@ CREATE TABLE IF NOT EXISTS commands (
 NAMED_BY = {"about": 1, "configurations": 1, "runs": 4, "metrics": 1, "commands": 2}
 """The number of leading columns of each table that identify a row in an error message."""
 CACHE = 65_536
-"""The largest size of the page cache, kB. The index of 10^6 runs fits; in SQLite's 2 MB their check is
-slower."""
+"""The largest size of the page cache, kB. The index of 10^6 runs fits into it; with SQLite's default of 2 MB, checking
+them is slower."""
 HINT = "remove it, or choose another folder (-o, in Python store=)"
 ROWID = "ORDER BY rowid"
 """The order in which rows were added, in SQL."""
@@ -191,7 +191,7 @@ class StoreFile:
         else:
             self._create(path, network)
             self.database.execute(f"PRAGMA cache_size = -{CACHE}")
-        synchronous = "FULL" if network else "NORMAL"  # a commit takes as long as the file server, anyway
+        synchronous = "FULL" if network else "NORMAL"  # a commit waits for the file server anyway
         self.database.execute("PRAGMA query_only = ON" if read_only else f"PRAGMA synchronous = {synchronous}")
 
     def _create(self, path: Path | None, network: str) -> None:
@@ -310,7 +310,8 @@ def _has_tables(path: Path | None, database: sqlite3.Connection) -> bool:
     """Return whether a database has the tables of a store; False if it is empty.
 
     Raises:
-        StoreError: if it has anything else, such as a trigger, or in place of a table a view that never ends.
+        StoreError: if it has anything else, such as a trigger, or a view in place of a table, whose query may never
+            end.
     """
     objects = dict(database.execute("SELECT name, type FROM sqlite_master WHERE type <> 'index'"))
     if objects and "about" not in objects:

@@ -44,7 +44,7 @@ class Holder:
 
     host: str
     place: str
-    """Identifies the host since its start, and the namespace of processes; see `place`."""
+    """Identifies the host, its last start, and the namespace of processes; see `place`."""
     pid: int
     token: str
     """Identifies the lock: a process that gets it again has another token."""
@@ -96,7 +96,7 @@ class LockFile:
                 last_content, last_sign = holder.content, now
             if now - last_sign > STALE:  # by the clock of this host: the time of the file may lie ahead
                 self._remove(holder)
-            elif now - start > patience and now - last_sign < WATCH:  # alive: a silent one may soon be stale
+            elif now - start > patience and now - last_sign < WATCH:  # alive: a silent holder may soon be stale
                 raise LockedError(f"{holder}, uses it")
             else:
                 time.sleep(PAUSE)
@@ -128,7 +128,7 @@ class LockFile:
             os.close(file)
 
     def _content(self) -> bytes:
-        """Return the text of the lock file, whose length does not change, so that rewriting it never leaves half."""
+        """Return the text of the lock file; its length is fixed, so that no part of the old text outlasts a rewrite."""
         fields = {"host": socket.gethostname(), "place": place(), "pid": os.getpid(), "token": self._token}
         return f"{json.dumps(fields | {'beat': f'{self._beats:010}'})}\n".encode()
 
@@ -168,7 +168,7 @@ class LockFile:
             aside.unlink()
 
     def is_held(self) -> bool:
-        """Return whether this object holds the lock; False if it was too long without a sign of life and lost it."""
+        """Return whether this object holds the lock; False if another process took it for dead."""
         return self._file >= 0 and (holder := _holder(self.path, 0.0)) is not None and holder.token == self._token
 
     def release(self) -> None:
@@ -193,8 +193,8 @@ def _rewrite(file: int, content: bytes) -> None:
 def _published(draft: Path, file: int, path: Path) -> int:
     """Give a draft the path of the lock, and return a descriptor of the lock file; -1 if there is a lock already.
 
-    The answer of an NFS server to a link can be lost, and the repeated request then fails: the count of links decides.
-    A file system without links has only the exclusive creation of a file, which SMB and FUSE do right.
+    The answer of an NFS server to a link can be lost. The repeated request then fails although the link exists, so the
+    count of links decides. Without links, the lock file is created exclusively instead, which SMB and FUSE do right.
     """
     try:
         os.link(draft, path)
@@ -214,7 +214,7 @@ def _holder(path: Path, now: float) -> Holder | None:
     Opening the file makes NFS ask the server for its time. A file without a holder was just made, or its maker died.
     """
     try:
-        # Links are refused: `os.link` finds a link to nowhere, but a reader does not.
+        # Symbolic links are refused: a broken one blocks `os.link`, but to a reader it is no file to wait for.
         with open(path, "rb", opener=open_no_link) as stream:
             age, text = now - os.fstat(stream.fileno()).st_mtime, stream.read(LONGEST)
     except FileNotFoundError:

@@ -19,7 +19,7 @@ Digits = Annotated[str, Field(pattern="^[0-9]{1,4000}$")]
 ROOT_SEED, SUMMARY = 2, 5
 """The indices of the columns of `runs` that hold the root seed, and the metrics."""
 RUN_VALUES = "(?, ?, ?, ?, ?, ?, ?)"
-"""The values of a row of `runs` in SQL."""
+"""The placeholders of the values of a row of `runs` in SQL."""
 
 
 class _Metrics(BaseModel):

@@ -198,7 +198,7 @@ class Store(SweepProperties, RunRows):
                 another Python or other packages computed its runs, unless `mix_versions` is set.
         """
         if isinstance(self.path, Path) and isinstance(other.path, Path) and self.path.samefile(other.path):
-            return  # with a rollback journal, reading would prevent writing
+            return  # nothing to add; with a rollback journal, reading it would prevent writing
         self.check_same(other.about)
         self.check_versions(other.versions, f"{other.path} has those of", mix=mix_versions)
         codes = {name: code for name, _, code in self.rows("metrics")}

@@ -24,7 +24,7 @@ LOGS, CLAIMS = "logs", "claims"
 WARNED = 60
 """The time before the end of a part at which Slurm warns it, s; Slurm looks at the time once a minute."""
 RESTARTS = 20
-"""The largest number of times that a part is run again: a single run longer than a part would repeat it for ever."""
+"""The largest number of times that a part is run again; a part that is too short for one run would never end."""
 SLURM_TIMEOUT = 30.0
 """The time limit of a command of Slurm, s."""
 
@@ -192,7 +192,7 @@ def states(jobs: Sequence[str]) -> Mapping[int, str]:
     for number in jobs:
         try:
             lines = slurm("squeue", "--noheader", "--array", "--format=%K %T", f"--jobs={number}").splitlines()
-        except SlurmError:  # it also refuses a job that ended long ago
+        except SlurmError:  # squeue also refuses a job that ended long ago
             continue
         for line in lines:
             part, _, state = line.strip().partition(" ")

@@ -54,7 +54,7 @@ def open(path: str | PathLike[str], *, allow_import: bool = False) -> Result | S
 
 
 def _scenario_hint(path: Path) -> str:
-    """Return how to make a result of a scenario file, as the end of a message; "" for any other file."""
+    """Return how to get a result from a scenario file, as the end of a message; "" for any other file."""
     hint = f"; `desim sweep {path} -o DIR` makes one of this scenario, and load({str(path)!r}) reads it"
     return hint if path.suffix == ".toml" else ""
 

@@ -30,7 +30,7 @@ class Entry:
     """A result in a folder."""
 
     folder: Path
-    """The folder; the file of a store that has another name than `desim sweep` gives, as `sweep(store=...)` may."""
+    """The folder; or the file of a store whose name is not that of `desim sweep`, such as one of `sweep(store=...)`."""
     kind: str
     """run, sweep, explain, merge, or the name of a study."""
     scenario: str
@@ -117,7 +117,7 @@ def _modified(path: Path) -> float:
 
 
 def _entry_of_store(path: Path) -> Entry | None:
-    """Return the entry of a store of another name than that of the command line; None if it is no readable store."""
+    """Return the entry of a store whose name is not that of `desim sweep`; None if it is no readable store."""
     try:
         name, runs, state = _stored([path], None, None)
     except (OSError, ValueError):

@@ -1,4 +1,4 @@
 """Who performs runs: processes of this machine, a cluster or the executor of the caller, with time limits and progress.
 
-Results do not depend on it; tests compare one worker with many.
+Results do not depend on the workers; tests compare one worker with many.
 """

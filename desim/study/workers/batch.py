@@ -34,7 +34,7 @@ def run_many(
     on_done: Callable[[int, Measured], object] = lambda *_: None,
     timeout: float | None = None,
 ) -> list[Measured]:
-    """Run each task and return the measurements in the order of the tasks, whatever the number of workers.
+    """Run each task and return the measurements in the order of the tasks, with any number of workers.
 
     Use it in a script that lists its own runs; `sweep` adds a grid, a store and statistics.
 

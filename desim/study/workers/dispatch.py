@@ -133,7 +133,7 @@ def _in_batches(
                 batch = submitted.pop(future)
                 try:
                     outcomes, run_time = workers.result(future)
-                except ConnectionError:  # of the workers: an exception of a run is in its outcome
+                except ConnectionError:  # to the workers: a ConnectionError of a run is in its outcome
                     raise
                 except Exception as error:
                     unaccounted += batch
@@ -188,7 +188,7 @@ def _outcome(task: Task, measure: Measurement, simulate: Simulate) -> Outcome:
     scenario, seed = task
     texts: list[str] = []
     try:
-        # Whatever the worker, each run starts from what the driver's objects hold, as if it were the only one.
+        # In any worker, each run starts from the state of the driver's objects, as if it were the only run.
         with (
             collected_warnings() as texts,
             identified_run(),

@@ -1,4 +1,4 @@
-"""The workers for whatever a caller gives to perform runs: a number, an address, or an executor."""
+"""The workers that a caller asks for by a number, an address, or an executor."""
 
 import os
 from concurrent.futures import Executor

@@ -30,7 +30,7 @@ _REGISTERING = RLock()
 class CallPickler(cloudpickle.Pickler):  # type: ignore[misc]
     """A pickler whose code objects keep the names of their files, so that tracebacks are the same in any process.
 
-    The code objects of cloudpickle 3.1.3 have no file. Wrappers that pass on attributes of an object work, too.
+    The code objects of cloudpickle 3.1.3 have no file. This class can also pickle wrappers that forward attributes.
     """
 
     dispatch_table: ClassVar = ChainMap(
