@@ -106,7 +106,7 @@ def crossover(
     """Find the value of KEY from which A is better than B in a sweep, with a 95 % interval.
 
     A and B are values of another key, for instance: desim crossover out/relay network.latency.value protocol=sap
-    protocol=cbba. With --over, find the value of KEY from which the metric differs from its baseline by a share: desim
+    protocol=cbba. With --over, find the value of KEY from which the metric exceeds its baseline by a share: desim
     crossover out/relay network.latency.value --over 10%
     """
     from desim.study.results.result import SweepResult

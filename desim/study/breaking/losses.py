@@ -14,8 +14,8 @@ Why no choice is left out: let T be any choice. Let S begin empty, and add to it
 matters in the run of S, until no message in the rest R of T matters. The newest record that has arrived at a look is
 then never in R. So the runs of T and S are the same, and S is tried.
 
-Two choices whose messages matter are symmetric if their runs are the same: one loses a message that in the other is so
-late that nobody reads it. Of such a pair only the loss is run. Choices are sets, so the order of their messages does
+Two choices whose messages matter are symmetric if one loses a message that in the other comes too late to be read.
+Their runs are the same, and only the one with the loss is made. Choices are sets, so the order of their messages does
 not count either. There is no symmetry between pursuers: they differ in their positions and in when they decide.
 """
 

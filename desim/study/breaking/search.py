@@ -173,7 +173,8 @@ def find_violation(
 
         desim.find_violation(desim.load("relay.toml"), "idle at most 2 in total against centralised").violation
 
-    Case k has the seed of run k. It has each feature with probability 1/2, with values within documented bounds.
+    Case k has the seed of run k, and each feature with probability 1/2, with values within documented bounds. In a
+    guided search, a case made from another one has the seed of that one.
 
     Args:
         scenario: where the search begins.
@@ -188,7 +189,7 @@ def find_violation(
         jobs: the number of worker processes; 0 = the number of cores. The result does not depend on it.
         timeout: the longest wall time of a run, s; None: no limit. A longer run has failed.
         budget: the time, s of wall time, after which the search ends. The time of the runs in `log` counts, so that a
-            greater budget goes on where a smaller one ended. With a budget, the result depends on the speed of the
+            search with a greater budget continues an earlier one. With a budget, the result depends on the speed of the
             machine. The budget does not limit the runs that make a violation smaller.
         shrinking: the greatest number of cases that are run to make a violation smaller.
         log: the log of earlier runs, which are not made again; new runs are added to it.
@@ -267,7 +268,7 @@ def features_of(
 class _Cases:
     """The cases of a search, at most `runs` of which are run, in the order of their numbers.
 
-    Each feature draws changes of the scenario. Case k has the seed of run k of the root seed.
+    Each feature draws changes of the scenario. Case k has the seed of run k of the root seed, or that of its parent.
 
     Attributes:
         refused: the number of cases up to now that make no valid scenario.

@@ -51,7 +51,8 @@ UNSWEPT = MappingProxyType(
 """The keys that are no part of a configuration, and why they cannot be swept."""
 CODE = ("code", "names", "varnames", "freevars", "consts", "exceptiontable", "flags")
 COUNTS = ("argcount", "posonlyargcount", "kwonlyargcount")
-"""The numbers of arguments among the attributes of compiled code, without their prefix `co_`."""
+"""The attributes of compiled code that do not depend on where its source lies, without their prefix `co_`; `COUNTS`
+are numbers of arguments."""
 PICKLED = {NoneType, bool, int, float, list, dict}
 """The types whose pickle is the same in every process."""
 WRAPPED = {cached_property: "func", type(cache(len)): "__wrapped__"}

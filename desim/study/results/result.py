@@ -114,7 +114,7 @@ class SweepResult(TabularResult, SweepRuns, HintedAttributes):
                 each configuration as a heat map, with a key on each axis; scatter: the mean at each point of a design,
                 over each key; contour: bands of the mean over two keys. None = scatter for a design, else means.
             x: of means: the key on the abscissa; None = the first key not in `by` that takes several numbers. If no
-                key does, each configuration has a row, or with `by`, the first other key with several values is used.
+                key does: with `by`, the first other key with several values; else each configuration has a row.
             by: of means: the key or keys whose values name the lines; each combination of values of the other keys has
                 a panel. By default all keys but `x` name the lines, in one panel.
             against: of means: values of some keys, such as {"protocol": "sap"}. The reference of a configuration is the

@@ -233,9 +233,9 @@ class SweepRuns:
 
     @property
     def compared_by(self) -> str | None:
-        """The first key that is the only difference between two configurations.
+        """The first key for which two configurations differ in nothing else.
 
-        Without such a key, it is None for a design, and for a grid the first key that has several values.
+        If there is no such key: None for a design, and for a grid the first key that has several values.
         """
         alone = list(range(len(self.groups)))  # each configuration is the first with its other settings
         paired_key = next((key for key in self.keys if self.first_along(key) != alone), None)

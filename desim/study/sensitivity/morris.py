@@ -70,8 +70,8 @@ def morris_points(trajectories: int, inputs: int, rng: np.random.Generator) -> F
 def among_items(points: Floats, rng: np.random.Generator) -> Floats:
     """Return the (trajectories, points, inputs) shares, in [0, 1), of inputs with a few values at some points.
 
-    A level becomes a share in its quarter of the values, at the same place in each quarter along a trajectory. So all
-    values are equally probable, however many there are, and a step goes over half of them, to another value.
+    Level k becomes a share in quarter k of the values, at a random place that is the same along a trajectory. So any
+    number of values are equally probable, and a step goes over half of them, to another value.
     """
     quarters = (points * (LEVELS - 1)).round()
     shares: Floats = (quarters + rng.random((len(points), 1, points.shape[2]))) / LEVELS

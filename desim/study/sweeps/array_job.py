@@ -24,7 +24,7 @@ LOGS, CLAIMS = "logs", "claims"
 WARNED = 60
 """The time before the end of a part at which Slurm warns it, s; Slurm looks at the time once a minute."""
 RESTARTS = 20
-"""The largest number of times that a part is run again; a part that is too short for one run would never end."""
+"""The largest number of times that a part is run again; a part too short for one run would be repeated for ever."""
 SLURM_TIMEOUT = 30.0
 """The time limit of a command of Slurm, s."""
 
