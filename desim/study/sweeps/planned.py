@@ -42,7 +42,7 @@ class PlannedRuns:
         )
 
     def includes(self, stored: Iterable[Sequence[str]]) -> Callable[[Run], bool] | None:
-        """Return a function that tells whether a run was planned; None if no store begins with the planned ones.
+        """Return a test of whether a run was planned; None if no store begins with the planned configurations.
 
         `stored` holds the hashes of the configurations in each store, in its order: those of the last sweep come first.
         """
