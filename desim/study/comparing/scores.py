@@ -10,9 +10,9 @@ bounds. With bounds of its own, a protocol that does badly even on an ideal netw
 look robust. `quality` is what a protocol does on a perfect network, and `loss` what the network of the scenario costs.
 
 The interval of such a ratio r is that of the mean of ((Z_i - A_i) - r (Z_i - P_i)) / (Z - P) over the seeds i, the
-linearised ratio of paired values (Cochran 1977, "Sampling Techniques", section 2.11), with Student's t. It needs a
-denominator far from 0: a scenario is kept only if Z - P is more than `APART` standard errors in all runs of the
-version. The total of several scenarios is the mean of their scores; its interval is over the means of each seed,
+linearised ratio of paired values (Cochran 1977, "Sampling Techniques", section 2.11), with Student's t. The interval
+needs a denominator far from 0: a scenario is kept only if Z - P is more than `APART` standard errors, over all runs of
+the version. The total of several scenarios is the mean of their scores. Its interval is over the means of each seed,
 because runs of different scenarios with one seed have equal initial positions.
 """
 

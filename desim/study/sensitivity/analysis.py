@@ -78,7 +78,7 @@ def sensitivity(
             None = the grid of `scenario.sweep`. A design in it has no effect.
         metric: the name of the metric; every run needs a value.
         points: the number of rows of a Sobol matrix, a power of 2; 0 = screening only. There are (keys + 2) times as
-            many points. If in doubt, 64; four times as many halve the intervals.
+            many points; if in doubt, 64. Four times as many halve the intervals.
         trajectories: the number of trajectories of the screening, each with keys + 1 points; 0 = none, so that all keys
             have indices; if in doubt, 10.
         runs: the number of runs at each point, with the same seeds at all points. With 1, chance counts as an effect of

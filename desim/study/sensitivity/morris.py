@@ -8,7 +8,7 @@ the change itself.
 
 The mean of absolute effects (mu*, Campolongo et al. 2007, "An effective screening design for sensitivity analysis of
 large models") is 0 for an input without effect. An input that only changes random numbers has a mean absolute effect,
-too: compare it with `of_chance`, the one that the scatter of the runs at a point would give. The standard deviation of
+too: compare it with `of_chance`, which follows from the scatter of the runs at a point. The standard deviation of
 effects is 0 for an input with a linear effect, and large for an input with interactions or a nonlinear effect.
 """
 
