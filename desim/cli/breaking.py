@@ -155,7 +155,7 @@ def _varied_keys(source: "Source", scenario: "Scenario", grid: tuple[str, ...]) 
 def _chosen_property(text: str | None, scenario: "Scenario", folder: Path) -> "Property":
     """Return the property of the scenario that a text names, or that the text states; without a text, the first one.
 
-    Functions that the text names are looked up in a folder, as those of the file are.
+    Functions that the text names are looked up in `folder`, as those of the file are.
 
     Raises:
         ValueError: if there is no text, and the scenario has no properties; or if the text states no property.

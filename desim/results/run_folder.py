@@ -249,7 +249,7 @@ class StreamedResult:
 
 
 def streamed(folder: str | Path, *, allow_import: bool = False) -> StreamedResult:
-    """Return the run in a folder, of which nothing has been read yet; `read` checks it and holds it in memory."""
+    """Return the run in a folder without reading it yet; `read` instead checks it and holds it in memory."""
     return StreamedResult(Path(folder), allow_import)
 
 

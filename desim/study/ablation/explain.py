@@ -155,7 +155,7 @@ def _cost(
 ) -> Cost:
     """Return the cost of each imperfection in a metric, over the seeds for which all variants have a value.
 
-    The bounds of the network are over the seeds for which these two have a value: without messages there may be no
+    The bounds of the network are over the seeds for which both bounds have a value: without messages there may be no
     capture, and so no capture time. `confidence` is the level of the interval that decides whether the imperfections
     interact.
     """

@@ -1,8 +1,8 @@
 """All choices of at most k messages that are lost, late or repeated: which make a protocol violate a property.
 
 A run without chance in its links is a function of what becomes of its messages (`MessageFault`). The choices are tried
-by size, each as an extension of a smaller one by one message that matters in the run of the smaller one. What becomes
-of a message does not matter
+by size: each extends a smaller choice by one message that matters in the run of the smaller choice. What becomes of a
+message does not matter
 
 - if it is lost anyway;
 - if its receiver never looked while it was the newest message of its sender that had arrived;

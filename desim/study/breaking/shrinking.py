@@ -39,8 +39,8 @@ def shrunk(
     """Return the smallest case that is broken alike, and the number of cases that were run, at most `budget`.
 
     It leaves out features, then tries fewer pursuers, a shorter horizon, and numbers with fewer digits. Each
-    simplification with which the case stays broken is kept, and all are tried again until none is. No scenario is run
-    twice. `judge` runs a scenario with a seed.
+    simplification with which the case stays broken is kept, and all are tried again until none helps. No scenario is
+    run twice. `judge` runs a scenario with a seed.
     """
     best, runs, run_scenarios = violating, 0, {repr(applied(scenario, violating.case))}
     is_smaller = True

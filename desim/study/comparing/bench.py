@@ -35,7 +35,7 @@ from desim.study.workers.executors import workers_for
 from desim.study.workers.workers import Workers
 
 METRICS = ("active_time", "idle_time")
-"""The metrics of which a cost consists."""
+"""The metrics that make up a cost."""
 
 
 @naming_arguments

@@ -30,7 +30,7 @@ def unit_points(design: Design, dimensions: int) -> Floats:
 
 
 def drawn_keys(grid: Mapping[str, Sequence[Any]], design: Design) -> list[str]:
-    """Return the keys of a grid of which a design draws values: those with a range, and those that it names."""
+    """Return the keys of a grid whose values a design draws: keys with a range, and keys that the design names."""
     return [key for key, values in grid.items() if is_range(values) or key in design.drawn]
 
 

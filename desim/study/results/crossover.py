@@ -279,8 +279,8 @@ def undecided_parts(x: Sequence[float], by_seed: Floats, confidence: float) -> l
 
     On a segment with differences d and e at its ends, the difference at a share u is d + u (e - d), with the mean
     m + u s and the variance v + 2 u c + u^2 w. Here d has the mean m and the variance v, e - d the mean s and the
-    variance w, and c is the covariance of both.
-    The t interval includes 0 where the quadratic (m + u s)^2 - q (v + 2 u c + u^2 w) is not positive; q = t^2 / runs.
+    variance w, and c is the covariance of both. The t interval includes 0 where (m + u s)^2 - q (v + 2 u c + u^2 w) is
+    not positive, with q = t^2 / runs.
     """
     runs = len(by_seed)
     q = t_quantile(runs - 1, confidence) ** 2 / runs

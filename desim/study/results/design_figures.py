@@ -36,7 +36,7 @@ Point = tuple[Group, Estimate]
 def scatter(
     result: SweepRuns, metric: str, *, size: str | None = None, style: Style = None, ax: Axes | None = None
 ) -> Figure:
-    """Draw the mean of a metric at each point of a design, in a panel for each key of which numbers were drawn.
+    """Draw the mean of a metric at each point of a design, in a panel for each key whose numbers were drawn.
 
     Points of one colour have equal values of the other keys. Vertical bars are 95 % intervals. For the arguments see
     `SweepResult.plot`.

@@ -214,7 +214,7 @@ def kim_nelson(
 
 
 def _samples_to_decide(limits: Floats, left: Sequence[int], first: int) -> float:
-    """Return the number of samples from which on the means decide, as the margins of all systems that are left are 0.
+    """Return the number of samples from which on the means decide, because the margins of all systems left are 0.
 
     It is infinite as long as a variance is unknown.
     """

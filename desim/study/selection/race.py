@@ -197,8 +197,7 @@ class _Samples:
     def _perform(self, systems: Sequence[int], replication: int) -> None:
         """Perform the runs of a replication, and of some that follow.
 
-        With one of the first replications, all of the first are performed; with a later one, as many as keep the
-        workers busy.
+        If it is one of the first replications, all of these are performed; otherwise, as many as keep the workers busy.
         """
         workers = self._workers.count
         ahead = max(1, AHEAD * workers // len(systems)) if workers > 1 else 1

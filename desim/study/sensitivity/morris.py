@@ -47,7 +47,7 @@ class ElementaryEffects:
         return [k for k, (effect, of_chance) in pairs if effect.value > 0.0 and effect.low <= of_chance]
 
     def matters(self, share: float) -> list[int]:
-        """Return the inputs of which mu* may be at least a share of the greatest, by the upper end of its interval."""
+        """Return the inputs whose mu* may be at least a share of the greatest, by the upper end of its interval."""
         greatest = max(effect.value for effect in self.mean_absolute)
         return [
             k for k, effect in enumerate(self.mean_absolute) if effect.high > 0.0 and effect.high >= share * greatest

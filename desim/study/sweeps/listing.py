@@ -20,7 +20,7 @@ from desim.study.sweeps.planned import PlannedRuns, Run
 
 HEAD = ("folder", "kind", "scenario", "date", "runs", "state")
 UNPLANNED = ("explain", "race", "sensitivity")
-"""The kinds of results of which `run.json` does not say how many runs their store should have."""
+"""The kinds of results whose `run.json` does not say how many runs their store should have."""
 TAIL = 4096
 """The number of bytes at the end of a trace that are searched for its last event."""
 

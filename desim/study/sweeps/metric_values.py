@@ -13,7 +13,7 @@ from desim.study.sweeps.sweep_plan import SweepPlan
 
 
 class NoMeanError(ValueError):
-    """Raised if a run has no value, or an infinite one, of a metric of which a mean is needed."""
+    """Raised if a metric whose mean is needed has no value, or an infinite one, in a run."""
 
 
 def metric_value(metric: str, configuration: Configuration, row: Row) -> float:
