@@ -174,7 +174,7 @@ def _check_stores(job: "ArrayJob", plan: "SweepPlan", folder: Path, *, mix_versi
 
 
 def _unfinished_parts(job: "ArrayJob", plan: "SweepPlan", folder: Path, metrics: Sequence[str]) -> list[int]:
-    """Return the numbers of the parts that have runs to do; of parts that claim runs, as many as lots are left."""
+    """Return the numbers of the parts that have runs to do; if parts claim runs, as many as lots are left."""
     from desim.study.store.store import Store
     from desim.study.sweeps.array_job import CLAIMS
     from desim.study.sweeps.claims import Claims

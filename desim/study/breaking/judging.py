@@ -111,7 +111,7 @@ def _case_run(prop: Property, result: Result) -> CaseRun:
 
 @contextmanager
 def judging(prop: Property) -> Iterator[None]:
-    """Raise an exception as a JudgementError: the run has ended, so it is not the exception of its protocol."""
+    """Turn an exception into a JudgementError: the run has ended, so its protocol did not raise the exception."""
     try:
         yield
     except Exception as error:

@@ -1,4 +1,4 @@
-"""Events that the runs of a search should have seen: without a handover or a lost message, a search has tried little.
+"""Events that should occur in the runs of a search: without a handover or a lost message, a search has tried little.
 
 The idea is that of "sometimes" assertions, which tell whether a test has reached the states that matter.
 """

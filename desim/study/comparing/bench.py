@@ -121,7 +121,7 @@ class Entrants:
     """Whether the built-in protocols run, too."""
 
     def runs(self, count: int) -> int:
-        """Return the number of runs, at most, with `count` runs of each protocol in each scenario."""
+        """Return an upper bound of the number of runs, with `count` runs of each protocol in each scenario."""
         built_in = len(self.suite.protocols) + 1  # the reference also runs without messages
         entrants = len(self.protocols) + built_in * self.again
         return max(2 * count * entrants * len(self.suite.scenarios), 1)  # each on its network and on a perfect one

@@ -224,7 +224,7 @@ class Comparison(TabularResult):
 
 
 def _common_keys(first: SweepRuns, second: SweepRuns) -> tuple[tuple[str, ...], dict[str, tuple[str, str]]]:
-    """Return the keys that match configurations, and the two values of each key that differs between the sweeps only.
+    """Return the keys by which configurations are matched, and the two values of each key that differs between sweeps.
 
     Raises:
         ValueError: if one sweep varies a key that the other does not have.

@@ -3,10 +3,10 @@
 The curves are the means of a metric over the values of a key, joined by straight lines. The interval is that of Fieller
 1954, "Some Problems in Interval Estimation": it holds the points at which a paired t test does not tell the two curves
 apart. The difference at a point between two values of the key is interpolated run by run, so that common random
-numbers count. If the differences are normal, the interval covers the crossing of the interpolated true means with the
-stated probability, for any number of runs. Where the two curves nearly touch, the interval may be unbounded on one
-side or both: then the values of the key do not determine the crossing. A bootstrap would need random numbers, and its
-intervals are always bounded. `tests/study/test_crossover.py` measures the coverage.
+numbers narrow the interval. If the differences are normal, the interval covers the crossing of the interpolated true
+means with the stated probability, for any number of runs. Where the two curves nearly touch, the interval may be
+unbounded on one side or both: then the values of the key do not determine the crossing. A bootstrap would need random
+numbers, and its intervals are always bounded. `tests/study/test_crossover.py` measures the coverage.
 """
 
 from collections.abc import Mapping, Sequence

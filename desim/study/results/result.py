@@ -144,7 +144,7 @@ class SweepResult(TabularResult, SweepRuns, HintedAttributes):
 
         kinds = {"means": means, "phase": phase, "scatter": scatter, "contour": contour}
         of_means = {"x": x, "by": by, "against": against, "labels": labels}
-        # An option that only means have selects them.
+        # An option that other kinds lack selects means.
         chosen = kind or ("means" if any(of_means.values()) else self.usual_kind)
         if chosen not in kinds:
             raise ValueError(f"kind should be {', '.join(list(kinds)[:-1])} or contour, got {value_text(kind)}")
@@ -308,7 +308,7 @@ class SweepResult(TabularResult, SweepRuns, HintedAttributes):
         labels: Mapping[str, str] = MappingProxyType({}),
         without: Sequence[str] = (),
     ) -> None:
-        """Write a row per run to a file: .csv, or .parquet (needs the extra `frame`); or its tables: .tex or .md.
+        """Write a row per run to a file, .csv or .parquet (needs the extra `frame`); or write the tables, .tex or .md.
 
         Args:
             file: the file; its suffix sets the format.

@@ -76,7 +76,7 @@ class Group:
         return values[~np.isnan(values)]
 
     def estimate(self, metric: str) -> Estimate:
-        """Return the mean of a numeric metric over the runs with a value, or the share for which it is true."""
+        """Return the mean of a numeric metric over the runs with a value, or the share of runs in which it is true."""
         return (share if self._table.column(metric).is_of_truths else mean)(self.present(metric))
 
     def in_words(self, without: Sequence[str] = ()) -> str:
@@ -351,7 +351,7 @@ def in_numeric_order(keys: Sequence[str], groups: Sequence[Group]) -> tuple[Grou
 
 
 def is_number(value: Any) -> TypeGuard[float]:
-    """Return whether a setting is a number; true and false are none."""
+    """Return whether a setting is a number; true and false are not."""
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 

@@ -62,7 +62,7 @@ def sobol_indices(values: Floats, *, resamples: int = 1000, rng: np.random.Gener
     """Return the indices of the inputs of a model; see the module.
 
     The intervals are percentiles of a bootstrap over the points; see `bootstrap_ends`. They hold for the seeds that
-    were run, and for a number of points that is not too small: about 64.
+    were run, and for about 64 points or more.
 
     Args:
         values: the (inputs + 2, size, seeds) values of the model at the points of `saltelli_points`.

@@ -1,7 +1,7 @@
 """The SQLite file of a store: its tables, its journal, and the checks of its content.
 
-Opening a file checks that it has the tables of a store, and lets SQLite check its structure. Reading a row checks the
-types of its values, so that an edited value of the right type is not noticed.
+Opening a file checks that it has the tables of a store, and lets SQLite check its structure. Reading a row checks only
+the types of its values: an edited value of the right type is not noticed.
 """
 
 import sqlite3
@@ -88,7 +88,7 @@ def naming_the_file(method: Callable[Arguments, Returned]) -> Callable[Arguments
 
 
 def _missing(path: Path | None) -> str:
-    """Return the message about a store that does not exist, with a similar name beside it, or how to make a store."""
+    """Return the message that a store does not exist, with a similar name in its folder, or how to make a store."""
     # Of DIR/sweep.sqlite without a folder DIR, the name DIR is the wrong one.
     wrong = path.parent if path is not None and path.name == STORE and not path.parent.is_dir() else path
     beside = sorted(other.name for other in wrong.parent.glob("*")) if wrong is not None else []

@@ -66,7 +66,7 @@ class Row:
 
     @property
     def place(self) -> str:
-        """The file and the line of the last call of a user's code, or of any code, in the traceback; "" without one."""
+        """The file and line of the last call in the traceback, of a user's code if there is any; "" without a call."""
         calls = CALL.findall(self.traceback)
         user_calls = [call for call in calls if not (LIBRARY.search(call[0]) or call[0].startswith(_OURS))]
         return "{}:{}".format(*(user_calls or calls)[-1]) if calls else ""
@@ -156,7 +156,7 @@ class Column:
         return len(self._kinds)
 
     def __getitem__(self, k: int) -> Any:
-        """Return a value with the type that it was given; None if it is absent."""
+        """Return a value with its original type; None if it is absent."""
         return self._decoded(self._kinds[k], self._numbers[k])
 
     def _decoded(self, kind: int, number: float) -> Any:

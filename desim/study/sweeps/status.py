@@ -23,7 +23,7 @@ class SweepPart:
 
     name: str
     planned: int | None
-    """The number of its runs; None if it claims them, or nobody recorded it."""
+    """The number of its runs; None if the part claims its runs, or the number was not recorded."""
     done: int
     """The number of runs that succeeded."""
     failed: int
@@ -39,7 +39,7 @@ class SweepStatus:
     name: str
     """The name of the scenario."""
     planned: int | None
-    """The number of its runs; None if nobody recorded it, or the sweep ends when a mean is precise enough."""
+    """The number of its runs; None if it was not recorded, or the sweep ends when a mean is precise enough."""
     done: int
     """The number of planned runs that succeeded, each counted once."""
     failed: int
