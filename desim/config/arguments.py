@@ -125,7 +125,7 @@ SYNONYMS = MappingProxyType(
         "workers": ("executor", "jobs"),
     }
 )
-"""Names of arguments in other packages, each with names in desim, of which the first that a function has is meant."""
+"""By name of an argument in other packages: its names in desim. A message suggests the first that the function has."""
 EXAMPLES = MappingProxyType(
     {
         "Scenario.with_": ", for instance scenario.with_({'network.latency.value': 0.5})",
@@ -135,14 +135,14 @@ EXAMPLES = MappingProxyType(
         "run": "; for several seeds write [run(scenario, seed) for seed in range(5)], or use sweep",
     }
 )
-"""By qualified name of a function, the end of a message: a call of it that users look for."""
+"""By qualified name of a function: the end of a message, with the call that users look for."""
 
 
 def naming_arguments(function: Callable[Taken, Returned]) -> Callable[Taken, Returned]:
     """Decorate a function, so that the error about a wrong argument lists the arguments that the function takes.
 
-    Python's message names only the wrong argument. The types of arguments that are flags, functions, tables or lists of
-    texts are checked, too: as a flag, the text "no" would count as true.
+    Python's message names only the wrong argument. The decorated function also checks the types of flags, functions,
+    tables and lists of texts: as a flag, the text "no" would count as true.
     """
     kinds = _kinds_of_arguments(function)
     names = list(signature(function).parameters)

@@ -25,7 +25,7 @@ def array_of(value: Any) -> "NDArray[Any]":
     if type(value) in PLAIN or (type(value) is np.ndarray and value.dtype.kind in "biufc"):
         return np.asarray(value)
     if hasattr(value, "iloc") and hasattr(value, "index") and not value.index.is_monotonic_increasing:
-        return np.array(None)  # the labels may say another order than that of the values
+        return np.array(None)  # the labels and the places of the values may mean different orders
     converted = as_python(value)
     try:
         return np.array(None) if isinstance(converted, np.ma.MaskedArray) else np.asarray(converted)

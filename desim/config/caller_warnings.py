@@ -8,10 +8,10 @@ BETWEEN = frozenset({"desim", "protocols", "pydantic", "contextlib", "functools"
 
 
 def warn_caller(text: str, category: type[Warning] = UserWarning) -> None:
-    """Warn of a call of desim, at the innermost line of the program that lies outside of desim and what it uses.
+    """Warn at the innermost line of the program that is not in one of the packages `BETWEEN`.
 
-    In a command this is a line of the program that runs commands. If there is no such line, because a thread runs desim
-    alone, the warning names no file but `sys`.
+    In a command, this line is in the library that runs commands. If all lines are in these packages, as in a thread
+    that runs desim alone, the warning names `sys` in place of a file.
     """
     frame, level = currentframe(), 1
     while frame is not None and str(frame.f_globals.get("__name__")).partition(".")[0] in BETWEEN:

@@ -38,7 +38,7 @@ INNER = ("__func__", "__self__", "__wrapped__", "fget", "fset", "fdel", "func", 
 MAX_SEARCHED = 100
 """Number of items up to which a list, a dict or a cache is searched."""
 MAX_DEPTH = 8
-"""Depth of nested wrappers to which functions are looked for; a list or a dict counts as half of it."""
+"""Largest depth of nested wrappers in which functions are looked for; a list or a dict adds half of it."""
 _FOREIGN = {*sys.stdlib_module_names, "desim", "protocols", "numpy", "pydantic", "networkx"}
 """The packages whose classes and functions are not searched."""
 
@@ -62,7 +62,7 @@ def shared_variables(objects: Iterable[Any]) -> Iterator[tuple[Any, str, Read]]:
 def is_foreign(definition: Any) -> bool:
     """Return whether a function or class is one of desim, of Python or of a package that desim needs.
 
-    A wrapper that `functools` makes of a user's function has the `__module__` of the user, so its globals decide.
+    The module of a function's globals decides: wrappers by `functools` have the `__module__` of the user's function.
     """
     variables = definition.__globals__ if isinstance(definition, FunctionType) else {}
     return str(variables.get("__name__") or module_of(definition)).partition(".")[0] in _FOREIGN

@@ -104,7 +104,7 @@ class Header(NamedTuple):
         return Header([*self.names, *names], [*self.units, *("" for _ in names)], [*self.words, *([n] for n in names)])
 
     def columns(self, key: str) -> list[int]:
-        """Return the indices of the columns that may be t, x, y, z or node; several if it cannot be told which is.
+        """Return the indices of the columns that may be t, x, y, z or node; several if names do not decide.
 
         A column whose name is in `COLUMNS` is preferred to those whose last word is in `ENDS`. Among the latter, a
         column with a word of positions is preferred.
@@ -136,10 +136,10 @@ def header_of(cells: Iterable[str]) -> Header:
 def coordinate_columns(labels: Sequence[object]) -> list[int] | None:
     """Return the indices of the columns t, x and y of a table, in this order; t may be absent.
 
-    Return None if a column has another name, which does not tell what it is.
+    Return None unless each name says one of t, x and y, none of them twice, and x and y are among them.
 
     Raises:
-        ValueError: if they are in degrees, or in another unit than m and s.
+        ValueError: if the coordinates are in degrees, or a column is in another unit than m or s.
     """
     texts = [" ".join(label) if isinstance(label, tuple) and all(map(_is_text, label)) else label for label in labels]
     if not all(map(_is_text, texts)):

@@ -39,7 +39,8 @@ def fresh_copy(model: Model, *, with_collections: bool = False, is_run: bool = F
 
     Args:
         model: the model.
-        with_collections: whether collections are copied, too, if they can be, because nobody reads them after the run.
+        with_collections: whether collections are copied, too, because nobody reads them after the run. If one of them
+            cannot be copied, all are shared.
         is_run: whether the block is a run.
 
     Raises:
@@ -87,7 +88,7 @@ def _refusal(users: Mapping[str, Any], error: Exception) -> StateError:
 
 
 LARGE = 10_000
-"""Number of items of a collection from which on its changes are not looked for, because this would take long."""
+"""A collection of at least this many items is not searched for changes, because the search would take long."""
 
 
 def _snapshot(value: Any) -> Any:

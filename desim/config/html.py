@@ -5,13 +5,13 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 PICTURES: dict[str, Callable[[Any], str]] = {}
-"""By what is drawn, the function that returns it as an HTML image.
+"""By kind of object, such as "run", the function that returns an object of this kind as an HTML image.
 
-`desim` hands them in, because what draws a run is in a package above the one of the run."""
+`desim` fills the dict, because the functions are in packages above those of the objects."""
 
 
 def picture_of(kind: str, value: Any) -> str:
-    """Return a value as an HTML image; "" if nothing draws what it is."""
+    """Return a value as an HTML image; "" if `PICTURES` has no function for its kind."""
     return PICTURES[kind](value) if kind in PICTURES else ""
 
 

@@ -10,7 +10,7 @@ from types import FrameType
 SIGNALS = tuple(signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 """SIGINT, SIGTERM and SIGHUP, as far as this platform has them; Windows has no SIGHUP."""
 _LEFT = (None, signal.SIG_IGN)
-"""The handlers that `deferred` leaves: None is one that was not set from Python."""
+"""The handlers that `deferred` does not replace: None stands for one that was not set from Python."""
 
 
 class Terminated(KeyboardInterrupt):
@@ -69,7 +69,7 @@ def deferred() -> Iterator[None]:
     handlers = {signum: handler for signum in SIGNALS if (handler := signal.getsignal(signum)) not in _LEFT}
 
     def hold(number: int, _: FrameType | None) -> None:
-        if is_over:  # a signal between two calls below has raised an exception, so that this handler has stayed
+        if is_over:  # an exception by a signal between two calls below has left this handler in place
             signal.signal(number, handlers[signal.Signals(number)])
             signal.raise_signal(number)
         else:

@@ -85,7 +85,7 @@ def spelled_as_key(word: str) -> str:
 
 
 def _siblings_with(key: str, model: type[BaseModel]) -> list[str]:
-    """Return the names of the models with a key among the models whose kinds a table of a model may have instead."""
+    """Return the names of the models that have a key and that a table may hold in place of the given model."""
     families = [family for family in OneOf.families if "kind" in model.model_fields and family.has(model)]
     siblings = [sibling for family in families for sibling in family.choices().values()]
     return list(dict.fromkeys(sibling.__name__ for sibling in siblings if key in sibling.model_fields))

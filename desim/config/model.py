@@ -64,7 +64,7 @@ DEPRECATED = frozenset(
 """The methods that pydantic keeps for programs of its first version; each gives a warning."""
 
 MAX_KEYS_IN_CALL = 3
-"""Number of keys up to which a message shows all of them in the call of a model; of more keys, it shows the first."""
+"""If a model has at most this many keys, a message shows its call with all of them, otherwise with the first alone."""
 
 
 def _how_to_call(model: type[BaseModel], args: Sequence[Any]) -> str:
@@ -102,7 +102,7 @@ else:
             raise KeyedError(*problems) from cause
 
         def __setattr__(cls, name: str, value: Any) -> None:
-            """Raise KeyedError for a key: pydantic reads its default in the schema, so setting it has no effect."""
+            """Raise KeyedError if the name is a key: pydantic reads defaults in the schema, not in attributes."""
             if name[:1] != "_" and name in cls.__dict__.get("__pydantic_fields__", ()):
                 call = f"{cls.__name__}({name}=...)"
                 raise KeyedError(Problem(f"the default of a key cannot be set: give the value, {call}", name))
@@ -350,7 +350,7 @@ def _made_by_own_init(model: type[Model], values: Mapping[str, Any], updated: Se
         made = model.model_validate(values, by_name=True)
     except TypeError as error:
         why = f"takes other arguments ({error})"
-    else:  # of updated values only numbers are compared, because a list becomes a tuple, and a table a model
+    else:  # updated lists and tables become tuples and models, so only updated numbers are compared
         changed = [
             name
             for name, value in values.items()
@@ -364,7 +364,7 @@ def _made_by_own_init(model: type[Model], values: Mapping[str, Any], updated: Se
 
 
 def _why_no_list(model: type[Value], name: str, value: Any) -> str:
-    """Return the message for one model in place of a list of models, else ""; pydantic would list its fields."""
+    """Return the message about one model in place of a list of models, else ""; its fields would become the list."""
     is_lone = isinstance(value, BaseModel) and get_origin(model.model_fields[name].annotation) is tuple
     return f"should be a list: [{type(value).__name__}(...)]" if is_lone else ""
 

@@ -27,7 +27,7 @@ def definition_of(value: Any) -> Any:
 def import_name(definition: Any) -> str:
     """Return the `kind` "module:name" that selects a function or class without an entry point.
 
-    Code that `exec` runs in a dict of its own has no module, and counts as that of a script.
+    Code that `exec` runs in a dict of its own has no module; its name is that of code in a script, "__main__:name".
     """
     module = definition.__module__
     return f"{plain_name(module) if isinstance(module, str) else '__main__'}:{definition.__qualname__}"
@@ -101,8 +101,8 @@ def imported(kind: str, look_up: Callable[[], Any], at_folder: str = "", where: 
         where: the end of an error, which says where the module was looked for.
 
     Raises:
-        ValueError: if the object cannot be imported; it names the line of the user's code that raised, and has what was
-            raised as its cause.
+        ValueError: if the object cannot be imported. The message names the line of the user's code that raised an
+            exception; the cause of the error is this exception.
         HiddenPackageError: if another package hides one of desim.
     """
     try:

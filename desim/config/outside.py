@@ -84,7 +84,7 @@ class Outside(NamedTuple):
 
     @classmethod
     def of_all(cls, parts: Iterable["Outside"]) -> Self:
-        """Return the sources that several functions take from together."""
+        """Return the sources of several functions in one."""
         return cls(*(set[str]().union(*names) for names in zip(cls(set(), set(), set(), set()), *parts, strict=True)))
 
 

@@ -1,9 +1,9 @@
 """Modules beside scenario files, each loaded from its own file under a name of its own.
 
-A module `rule` beside a file in the folder /a is imported as "rule@/a", so that a module of the same name beside
-another file is another module, with another `helper` beside it. If a plain import finds the same file, for example
-because a script beside the file has imported it, the module keeps its plain name. The names of modules that are hashed
-or shown are plain names, which do not depend on the folder.
+A module `rule` beside a file in the folder /a is imported as "rule@/a". A module `rule` beside another file is
+therefore another module, and each of the two imports the modules of its own folder. If a plain import finds the same
+file, for example because a script beside it has imported it, the module keeps its plain name. Hashes and texts have
+plain names, which do not depend on the folder.
 
 The folder is part of the name, so another process on this machine imports the same module by this name; a dot in the
 folder is written as %2E, because dots separate packages.
@@ -82,7 +82,7 @@ def _is_hidden(top: str, beside: ModuleSpec) -> bool:
         plain = find_spec(top) if imported is None else imported.__spec__
     except (ImportError, ValueError):
         plain = None
-    if beside.origin is None:  # a folder without __init__.py, which any other module of this name precedes
+    if beside.origin is None:  # a folder without __init__.py; any other module of this name precedes it
         if plain is None:
             return True
         folders = set(beside.submodule_search_locations or ())
@@ -133,8 +133,8 @@ class _Loader(SourceFileLoader):
 class _Renaming(ast.NodeTransformer):
     """Replaces the names of modules beside the file in the imports of a module.
 
-    The names are part of the code, so an import in a function is right, too, when the function is called, also in a
-    process to which only the function was sent.
+    The new names are part of the code. An import inside a function therefore finds the right module whenever the
+    function is called, even in another process to which only the function was sent.
     """
 
     def __init__(self, folder: Path):

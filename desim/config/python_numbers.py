@@ -276,9 +276,9 @@ def _labels(value: Any, dimension: int) -> list[Any]:
 
 
 def _by_number(value: Any) -> Any:
-    """Return a series or a table of pandas in the order of its labels, if these are the numbers of its rows.
+    """Return a series or a table of pandas in the order of its labels, if these number its rows.
 
-    pandas keeps them when it sorts or shuffles rows.
+    When pandas sorts or shuffles rows, each row keeps its label.
     """
     if not hasattr(value, "iloc") or not hasattr(value, "index"):
         return value
@@ -301,7 +301,7 @@ def _orders_of_matrix(rows: list[Any], columns: list[Any]) -> tuple[list[int], l
 def _by_player(labels: list[Any]) -> list[int] | None:
     """Return the order of rows in which their labels are the numbers 0 .. n - 1, or 1 .. n.
 
-    Return None if the labels are others, or in this order already. They may be texts, as those of rows from JSON are.
+    The labels may be texts, as in rows from JSON. Return None if they are not these numbers, or are in order already.
     """
     try:
         numbers = [int(label) for label in labels]

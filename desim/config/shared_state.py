@@ -58,14 +58,14 @@ _runs: WeakKeyDictionary[Any, dict[str, tuple[Any, Any]]] = WeakKeyDictionary()
 
 @contextmanager
 def shared_changes(objects: Iterable[Any], snapshot: Callable[[Any], Any]) -> Iterator[None]:
-    """Warn of each variable that an earlier block has changed, and that this block finds as that block left it.
+    """Warn of each variable that an earlier run has changed and that nobody has reset since; the block is a run.
 
     The variables are the attributes of classes and functions, and the defaults, the variables of enclosing functions
     and the global variables that code of a user reads or writes. A collection to which the code only adds may change:
-    it reports to the caller. There is no warning in a first run, nor if the caller has reset the variable since.
+    it reports to the caller.
 
-    A run that draws from the global generators of `random` or `numpy.random` gives a warning, even if it is the first.
-    While other threads run, which may draw, too, it does so only if its code names functions of these generators.
+    Even a first run gives a warning if it draws from the global generators of `random` or `numpy.random`. Other threads
+    may draw, too: while any runs, there is a warning only if the code of the run names functions of these generators.
 
     Args:
         objects: the classes and functions, perhaps among other objects.
@@ -113,10 +113,10 @@ def _carried(reads: Sequence[tuple[Any, str, Read]], before: Sequence[Any]) -> s
 
 @contextmanager
 def followed_changes(objects: Iterable[Any], snapshot: Callable[[Any], Any]) -> Iterator[None]:
-    """Note what a block that is no run changes of the state that the last run has left.
+    """Count the changes by a block that is no run as changes by the last run.
 
-    Metrics, for instance, call models of links. Otherwise the next run would take their changes for a reset by the
-    caller, and not be warned of. For the arguments see `shared_changes`.
+    Metrics, for instance, call models of links. If their changes did not count, the next run would take them for a
+    reset by the caller, and give no warning. For the arguments see `shared_changes`.
     """
     if not _runs:
         yield

@@ -20,7 +20,7 @@ threads, such as locks."""
 
 
 def is_stateless_module(name: str) -> bool:
-    """Return whether copies share the objects of the classes of a module, given its name; graphs of networkx change."""
+    """Return whether copies share the objects of the classes of a module, given its name; not those of graphs."""
     return name.partition(".")[0] in NEVER_CHANGED and not name.startswith("networkx.classes.")
 
 
@@ -54,7 +54,7 @@ def users_objects(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
         inner = enumerate(value) if form == "items" else (vars(value) if form == "model" else value).items()
         for name, item in inner:
             inner_kind: type = type(item)
-            if _form(inner_kind) != "constant":  # most items are, and calls for them would add half to the time
+            if _form(inner_kind) != "constant":  # most items are constants, and a call for each adds half to the time
                 yield from users_objects(item, f"{key}.{name}" if key else str(name))
 
 

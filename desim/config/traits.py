@@ -64,7 +64,7 @@ class Follows:
 
     Args:
         methods: the names of the methods.
-        not_above: the name of a method that outdates a trait of a base class even if it overrides no other method.
+        not_above: the name of a method that outdates a trait of a base class even if no base class has the method.
     """
 
     def __init__(self, *methods: str, not_above: str | None = None):
@@ -168,7 +168,7 @@ class Traits(Value):
     @classmethod
     @lru_cache(maxsize=64)
     def calls(cls) -> Mapping[str, Sequence[str]]:
-        """Return the names of the arguments of each trait that is a method: its description begins with the call."""
+        """Return the names of the arguments of each trait that is a method, from the call in its description."""
         matches = {
             name: re.match(rf"`{name}\(([\w, ]*)\)`", field.description or "") for name, field in fields_of(cls).items()
         }

@@ -62,7 +62,7 @@ def _create(part: Path, path: Path) -> None:
     """Create the empty part of a file.
 
     Raises:
-        OSError: if it cannot be created, or something has its name; about the file that the caller knows.
+        OSError: if the part cannot be created, or its name exists already; the error names `path`.
     """
     try:
         part.touch(exist_ok=False)
@@ -77,7 +77,7 @@ def write_whole(path: Path, content: bytes) -> None:
     """Write a file; one that is there already is replaced only when the new one is complete.
 
     Raises:
-        OSError: if the file cannot be written; then an older one is still there.
+        OSError: if the file cannot be written; an older file is then unchanged.
     """
     with replacing(path) as part:
         part.write_bytes(content)
