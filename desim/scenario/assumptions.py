@@ -67,8 +67,8 @@ def component_heard(scenario: "Scenario") -> str | None:
     graph = initial_graph(scenario)
     if is_complete(graph):
         return None
-    # All that a pursuer can reach should hear it directly. Pursuers that can reach each other can reach the same set,
-    # which is computed once for each strongly connected component, from those that it leads to.
+    # All that a pursuer can reach should hear it directly. The set is the same for all pursuers of a strongly connected
+    # component. It is computed once for each, from the sets of the components to which its links lead.
     condensed = nx.condensation(graph)
     reached: dict[int, set[int]] = {}
     for component in reversed([*nx.topological_sort(condensed)]):
@@ -228,7 +228,7 @@ def _is_broken(scenario: "Scenario", assumption: str) -> bool:
 def _loses_frames(medium: Medium) -> bool:
     """Return whether nodes contend, and frames may overlap or be lost to noise.
 
-    Under TDMA, frames overlap only if clocks differ, which is a fault of the scenario and counts as such.
+    Under TDMA, frames overlap only if clocks differ; that counts as a fault of the scenario, not here.
     """
     if not contends(medium):
         return False

@@ -30,7 +30,7 @@ class Quantity(NamedTuple):
     most: Callable[[AnyScenario], float] = lambda _: inf
     """Returns its largest possible value in a scenario; the least is 0."""
     by_evader: bool = False
-    """Whether `name[j]` is the same for evader j alone."""
+    """Whether a property may also have `name[j]`, the same quantity for evader j alone."""
     needs: str = ""
     """The key of `record` without which a trace does not have it."""
 

@@ -36,8 +36,8 @@ from desim.scenario.telling import announces_start, has_heartbeats, is_built_in,
 LARGEST_EXPONENT = 4.0
 """Largest path loss exponent that is usual without walls."""
 LEAST_ROWS, ROWS_PER_COUNTED, SPARSE = 10, 10, 5.0
-"""The times of a table are probably in ms if it has at least so many rows, so many times as many rows as there are
-before the horizon, and a mean time of so many s between two rows."""
+"""The times of a table are probably in ms if it has at least `LEAST_ROWS` rows, at least `ROWS_PER_COUNTED` times the
+number of rows before the horizon, and a mean time between two rows of at least `SPARSE` s."""
 REPORT = size_of(Forwarded((Record(0, 0, 0, LocatedAssignment(0, 0.0, 0.0, 0.0)),)))
 """Least size of a report to a server (`protocols.server`), bytes."""
 SIGHTED = Sighted(1, Measurement(0, 0, 0.0, 0.0, Covariance(0.0, 0.0, 0.0)))

@@ -1,8 +1,8 @@
 """Errors about values of several tables of a scenario that cannot be simulated together.
 
 A value that is wrong whatever the others are is refused by its own class, and so are values of one table that do not
-fit together. What the models of links say of the links that use them (`check_links`) is collected by
-`desim.kernel.models.own_links.link_misfits`, because a network without a scenario refuses it, too.
+fit together. Errors that models of links find in the links that use them (`check_links`) are collected by
+`desim.kernel.models.own_links.link_misfits`, because a network without a scenario raises them, too.
 """
 
 from collections.abc import Iterator
@@ -92,7 +92,7 @@ def _overridden(kind: type[BaseModel]) -> Iterator[str]:
 
 
 def _is_of_table(base: type[BaseModel], name: str) -> bool:
-    """Return whether a table has a key, a method or a property of a name, which not every `Value` has."""
+    """Return whether a table has a key, a method or a property of a name that a plain `Value` lacks."""
     return name in base.model_fields or (hasattr(base, name) and not hasattr(Value, name))
 
 

@@ -20,13 +20,13 @@ from desim.scenario.scenario import Scenario
 from desim.scenario.wall_misfits import reach_warnings
 
 SLOW = 10.0
-"""The time until the second row of a record, in horizons, from which on its times probably have another unit."""
+"""If the second row of a record is later than this many horizons, its times probably have another unit."""
 SHORT = 10.0
 """The horizon, s, below which a scenario probably only tries something out."""
 TINY = 0.5
 """The width and height of all walls together, m, below which their coordinates probably have another unit."""
 RARE_TURNS = 10.0
-"""The time between two turns of an evader for which a filter is tuned, s, beyond which a warning is given.
+"""A filter that is tuned for a longer time between two turns of an evader, s, gives a warning.
 
 Turns in random directions at a rate 1 / T change each component of a velocity v as a diffusion v / sqrt(T) does. In
 scenarios/noisy.toml with the fusion by_stamp, the mean normalised squared error of positions, 2 if the filter is as
@@ -36,7 +36,7 @@ errors are standard errors).
 
 
 DISPLACED = 0.5
-"""The displacement of a sighting by a wrong clock, in standard deviations of its noise, from which a warning is given.
+"""A warning is given if a wrong clock displaces a sighting by more than so many standard deviations of its noise.
 
 In scenarios/noisy.toml with the fusion by_stamp, where the error of the range is 0.3 m, the mean normalised squared
 error of positions is 1.9, 2.4 and 5.5 with clocks that are wrong by 0, 0.1 and 0.3 s, in which the evader moves 0, 0.09
@@ -138,8 +138,8 @@ def _place_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     """Yield the warnings about walls and evaders that no player can come near: their coordinates may be wrong.
 
     No player leaves the box around the starts by more than its speed times the horizon, and the line between two
-    players stays in the box with this margin. A horizon below `SHORT` probably only tries something out, and tells
-    nothing about distances.
+    players stays in the box with this margin. A horizon below `SHORT` probably only tries something out, so
+    `SHORT` is used in its place.
     """
     environment, evaders = scenario.environment, scenario.evaders
     pursuers = complex_points(scenario.team.start(scenario.seed, scenario.space))

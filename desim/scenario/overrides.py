@@ -101,9 +101,9 @@ class Source:
     def over(self, base: Self) -> Self:
         """Return this source with the keys that it lacks taken from a base; neither may have overrides.
 
-        Tables are merged key by key, also if the base has a bare text or number that stands for a table; any other
-        value replaces the value of the base. When the kind of a table changes, the keys of the base that the new kind
-        does not have are left out.
+        Tables are merged key by key; a bare text or number in the base counts as the table that it stands for. Any
+        other value replaces the value of the base. When the kind of a table changes, the keys of the base that the new
+        kind does not have are left out.
         """
         lines, files = dict(base.lines or {}), dict.fromkeys(base.lines or {}, base.name) | base.files
         merged = replace(self, tables=_copied(base.tables), lines=lines, files=files)
@@ -184,7 +184,7 @@ class Source:
             raise ScenarioError(*(problem._replace(where=origin) for problem in problems_of(error))) from None
 
     def set(self, name: str, value: Any, origin: str) -> None:
-        """Set a dotted key to a value; missing tables are created with their default kind, missing lists as by default.
+        """Set a dotted key to a value; missing tables get their default kind, missing lists their default items.
 
         A bare string or number in place of a table becomes the table that it stands for: "cbba", for instance, stands
         for { kind = "cbba" }.

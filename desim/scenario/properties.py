@@ -67,9 +67,9 @@ class Property(Value):
     name: PropertyName | None = None
     """The name in tables and of its metric, `margin:NAME`; if absent, it is made from the text."""
     against: str | None = None
-    """The kind of a protocol that is run in the same scenario with the same seed, as a reference. A time then may be
-    longer than that of the reference by its limit; `always` counts only if the reference keeps it. Without a reference,
-    a search finds scenarios in which no protocol can do any better.
+    """The kind of a protocol that is run in the same scenario with the same seed, as a reference. A time may then
+    exceed that of the reference by the limit; `always` counts only if the reference keeps it. Without a reference, a
+    search finds scenarios in which no protocol can do any better.
 
     If in doubt, use "centralised", which knows all and decides at once.
     """
@@ -169,7 +169,7 @@ class LimitedTime(Property):
 
 
 class Eventually(LimitedTime):
-    """A condition holds for the first time within a limit; if the run ends before, its end counts."""
+    """A condition holds for the first time within a limit; if it never holds, the end of the run counts."""
 
     kind: Literal["eventually"] = "eventually"
 
@@ -189,7 +189,7 @@ class Eventually(LimitedTime):
 
 
 class LeadsTo(LimitedTime):
-    """Whenever a condition holds, a second one holds then or within a limit; the end of the run counts, too."""
+    """Whenever a condition holds, a second one holds within a limit; the end of the run counts as the second one."""
 
     kind: Literal["leads_to"] = "leads_to"
     then: ConditionText

@@ -109,8 +109,8 @@ class Design(Value):
 def _grid_in_tables(grid: dict[str, tuple[Any, ...]], info: SerializationInfo) -> dict[str, Any]:
     """Return a grid as it is written, with ranges as texts.
 
-    This is no `field_serializer`: there, pydantic makes a text of the name of the field, and a signal that arrives
-    meanwhile is lost with a message on stderr.
+    This is no `field_serializer`, for which pydantic converts the name of the field to a text: a signal that arrives
+    during this conversion is lost with a message on stderr.
     """
     tables = partial(_with_tables, exclude_none=bool(info.exclude_none))
     return {key: str(values[0]) if is_range(values) else tables(values) for key, values in grid.items()}
@@ -149,7 +149,7 @@ class Sweep(Value):
     numbers, such as "0:1:0.1", the last included, or "log:FIRST:LAST:COUNT" with equal ratios; every combination is a
     configuration. "LOW:HIGH" and "log:LOW:HIGH" are ranges from which `design` chooses."""
     design: Annotated[Design, BeforeValidator(design_of), _OrText()] | None = None
-    """The points of the ranges of the grid, such as "sobol:64"; without ranges there is none."""
+    """How points in the ranges of the grid are chosen, such as "sobol:64"; absent if the grid has no ranges."""
 
     @field_validator("grid")
     @classmethod

@@ -1,7 +1,7 @@
 """Commented starting files: a scenario, or a user's own model or metric with a test of it and a scenario that uses it.
 
 The template of a protocol is `my_protocol.py`, `test_my_protocol.py` and `my_protocol.toml` in `scenarios/templates`,
-with the class `MyProtocol`. A copy has another name in place of these.
+with the class `MyProtocol`. A copy has another name in place of `my_protocol` and `MyProtocol`.
 """
 
 import ast
@@ -25,8 +25,8 @@ def starting_files(template: str, name: str) -> dict[str, str]:
         name: the name of the scenario and of the module; an identifier.
 
     Raises:
-        ValueError: if the name is not an identifier; for any template but "scenario", also if an installed module has
-            this name or the code of the template uses it.
+        ValueError: if the name is a keyword or not an identifier; for any template but "scenario", also if an installed
+            module has this name or the code of the template uses it.
     """
     if iskeyword(name):
         raise ValueError(f"{name!r} is a word of Python itself, which no module can have; choose another, my_{name}")

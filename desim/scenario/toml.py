@@ -146,8 +146,8 @@ def _relocate(source: Source) -> None:
     """Convert the paths of data files in bases: make each relative to the folder of the file that uses the bases.
 
     Such a path is the value of the key `file` in a table, or one of the values of such a key in the grid of a sweep.
-    The kind of the table, if it has one, should be the name of an installed model, because the key `file` may mean
-    anything else in a table of the kind "module:name". The kind and the path may be set in different files.
+    In a table of the kind "module:name", the key `file` may mean anything, so its value is kept. The kind and the path
+    may be set in different files.
     """
     for place, value in list(nested(source.tables)):
         *parts, last = ".".join(map(str, place)).split(".")  # a key of the grid is dotted
@@ -164,7 +164,7 @@ def _relocate(source: Source) -> None:
 
 
 def _has_data_file(table: Any, parts: Sequence[str]) -> bool:
-    """Return whether the key `file` of a table, at a dotted key given as its parts, is the path of a data file."""
+    """Return whether the key `file` of a table is the path of a data file; `parts` are those of the table's key."""
     kind = table.get("kind") if isinstance(table, dict) else table  # a bare string stands for a kind
     if kind is not None:
         return isinstance(kind, str) and ":" not in kind

@@ -24,7 +24,7 @@ CONSTANTS = MappingProxyType(
 NOTHING = frozenset({"", "None", "nil", "null"})
 """Values that TOML does not have."""
 UNITS = ("s", "m", "m/s", "1")
-"""The units of the numbers, because the keys are not known here."""
+"""The units that are tried for a number, because that of its key is not known here."""
 
 
 def what_was_meant(line: str) -> str | None:
@@ -60,7 +60,7 @@ def _instead_of(key: str, value: str) -> str | None:
         return None
     for unit in UNITS:
         text = number_instead_of(value, {unit})
-        if text and "without a unit" not in text:  # which is said if the unit of the value is another one
+        if text and "without a unit" not in text:  # the text says this if the value has another unit
             return f"{key} {text.replace('the text ', '')}"
     if re.fullmatch(r"[A-Za-z][\w:-]*(?: [\w:-]+)*", value) and value not in {"true", "false", "inf", "nan"}:
         return f'a text is in quotes: {key} = "{value}"'

@@ -13,7 +13,7 @@ def tables_of(text: str) -> dict[str, Any]:
     """Return the tables of a TOML text, see `tomllib.loads`.
 
     Raises:
-        ValueError: also for a hexadecimal, octal or binary number that is too long to be printed, as for a decimal one.
+        ValueError: if the text is not TOML, or a number is too long to be printed: `tomllib` refuses only decimal ones.
         RecursionError: if tables are nested too deeply.
     """
     tables = tomllib.loads(text)

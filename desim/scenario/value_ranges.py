@@ -71,7 +71,7 @@ def rounded(number: float) -> float:
 
 
 def setting_at(values: Sequence[Any], share: float) -> Any:
-    """Return the value of a key of a grid at a share in [0, 1]: of a range the number there, of a list an item."""
+    """Return the value of a key of a grid at a share in [0, 1]: a number of a range, or an item of a list."""
     (first, *_) = values
     if isinstance(first, KeyRange):
         return first.at(share)

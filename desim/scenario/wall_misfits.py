@@ -19,7 +19,7 @@ from desim.scenario.conditions import AnyScenario
 Misfit = tuple[tuple[str | int, ...], str]
 """The key of a value, in parts, and why it does not fit."""
 INSTEAD = "let the walls not block it (`blocks` of each `wall` without motion), or choose"
-"""What to do, before the name of another kind, in the messages."""
+"""The advice in messages; the name of another kind follows it."""
 MAX_COMPARED = 1_000
 """Number of pursuers of which the paths to an evader are compared before a run."""
 
