@@ -221,7 +221,7 @@ def _relays_of(pursuit: EvaderPursuit) -> list[tuple[int, int]]:
 def handovers(result: Result) -> int:
     """Return the number of handovers: changes of the only pursuer of an evader (n_j = 1), over all evaders.
 
-    Between the two, the evader may have no pursuer or several for a time.
+    Between two such pursuers, the evader may have no pursuer or several for a time.
     """
     return portable_sum(max(len(chain) - 1, 0) for chain in _relays(result))
 

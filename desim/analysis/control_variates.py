@@ -54,7 +54,7 @@ MIN_CONTROLS = 2
 FEW_CONTROLS = 5
 """The least number of runs of the control in addition to the pairs for which intervals cover as often as they say.
 
-The mean of two has one degree of freedom, for which Satterthwaite's approximation is too narrow.
+The mean of two runs has one degree of freedom, for which Satterthwaite's approximation is too narrow.
 """
 USELESS = 1.1
 """A control helps only if its `ControlledEstimate.worth` is more than this factor times its number of pairs."""
@@ -77,7 +77,7 @@ class ControlledEstimate(Estimate):
 
     @property
     def others(self) -> float | None:
-        """None: the bound is one for values that are not corrected."""
+        """None: the bound holds only for values that are not corrected."""
         return None
 
     @property

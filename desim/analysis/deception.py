@@ -14,7 +14,7 @@ from desim.simulation.run import Result, run
 
 
 def first_lies(result: Result) -> dict[int, int]:
-    """Return the time, ns, at which the first Byzantine fault of a pursuer begins, by pursuer; others are missing."""
+    """Return the time, ns, at which the first Byzantine fault of a pursuer begins, by pursuer, without honest ones."""
     lies: dict[int, int] = {}
     for event in traced_events(result, FaultStarted):
         if isinstance(event.fault, Misbehaviour):

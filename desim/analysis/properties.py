@@ -23,7 +23,7 @@ class Judgement(NamedTuple):
     """How far a run is from violating a property."""
 
     margin: float
-    """At least 0 if the run keeps the property; s, or for `always` in the unit of its quantity."""
+    """At least 0 if the run keeps the property. In s or, for `always`, in the unit of the quantity."""
     measure: float
     """The worst value of what the property bounds: a time, s, or for `always` the largest violation."""
     at: float
@@ -38,7 +38,7 @@ class Judgement(NamedTuple):
 
 
 def worst_of(prop: Property, result: Result) -> Worst:
-    """Return the worst value of what a property bounds in a run, whatever its reference, from one pass over the run.
+    """Return the worst value of what a property bounds in a run, from one pass over the run; a reference is ignored.
 
     Raises:
         ValueError: if the trace lacks positions or messages that a quantity needs.
@@ -113,8 +113,8 @@ class PropertyWatcher:
     The property is judged at each event, so also at each sample of the trajectory (`record.trajectory`).
 
     Args:
-        prop: the property, or its text. All its quantities are in `WATCHED`, since others need the whole trace, and it
-            has no reference.
+        prop: the property, or its text; without a reference. All its quantities are in `WATCHED`, because others need
+            the whole trace.
         scenario: the scenario of the run.
 
     Attributes:

@@ -59,7 +59,7 @@ class Estimate:
         return f"{self.mean:.{digits}g} +- {self.half_width:.2g} (95 % interval, {runs})"
 
     def __format__(self, form: str) -> str:
-        """Return "mean +- half width" in a format for numbers; a sign is only for the mean. Without a format: `str`."""
+        """Return "mean +- half width" in a format for numbers, a sign only for the mean; without a format, `str`."""
         return f"{self.mean:{form}} +- {self.half_width:{form.lstrip('+')}}" if form else str(self)
 
     def __repr__(self) -> str:
@@ -108,7 +108,7 @@ class Estimate:
         return abs(self.mean) > self.half_width_at(confidence)
 
     def _chance_of_equal(self) -> float:
-        """Return the probability of an equally clear difference if the true mean is 0."""
+        """Return the probability that all values have one sign if the true mean is 0; `excludes_0` uses it."""
         return chance_of_one_sign(self.count)
 
     def half_width_at(self, confidence: float) -> float:
@@ -120,8 +120,8 @@ class Estimate:
 class Share(Estimate):
     """The share of runs for which something is true, with Wilson's interval.
 
-    The t interval has no width if it is true for all runs, and covers a share of 0.95 in 40 % of cases with 10 runs,
-    and in 78 % with 30, instead of Wilson's 91 and 94 %.
+    If all runs have the same truth value, the t interval has no width. It covers a share of 0.95 in 40 % of cases with
+    10 runs and in 78 % with 30, Wilson's interval in 91 and 94 %.
     """
 
     def __str__(self) -> str:
@@ -185,8 +185,8 @@ def paired(values: Sequence[float | None] | Floats, others: Sequence[float | Non
     values of a pair, and cov is their covariance. If cov > 0, the variance is less than for independent runs (Law &
     Kelton, "Simulation Modeling and Analysis", section 11.2).
 
-    A pair with a missing value (None or nan, such as the time of a capture that did not happen) is left out, and one
-    whose values are both the same infinity. The result then holds only for the other seeds, so report with it how many
+    A pair with a missing value (None or nan, such as the time of a capture that did not happen) is left out, and so
+    is a pair of equal infinities. The result then holds only for the other seeds, so report with it how many
     runs of each side have a value. Without any pair the count is 0 and the mean nan, because a study without a capture
     is a valid outcome, not an error.
 
@@ -279,9 +279,9 @@ def wilson(successes: int, trials: int, confidence: float = 0.95) -> tuple[float
     """Return the interval (low, high) of a probability, given the number of successes in independent trials.
 
     It consists of the probabilities p with |s - p| <= z sqrt(p (1 - p) / n), where s is the share of successes in n
-    trials and z a quantile of the normal distribution, for 95 % that of 97.5 % (Wilson 1927, "Probable Inference, the
-    Law of Succession, and Statistical Inference"). It is within [0, 1], and of positive width even if all trials have
-    the same outcome. `scipy.stats` has it, too, but its import takes longer than many runs.
+    trials and z a quantile of the normal distribution: for 95 %, the 97.5 % quantile (Wilson 1927, "Probable Inference,
+    the Law of Succession, and Statistical Inference"). It is within [0, 1], and of positive width even if all trials
+    have the same outcome. `scipy.stats` has it, too, but its import takes longer than many runs.
 
     Raises:
         ValueError: if there are no trials, or the successes are not in 0 .. `trials`.

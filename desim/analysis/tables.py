@@ -20,7 +20,7 @@ With one evader they repeat `captured` and `capture_time`.
 SHOWN = 12
 """Largest number of evaders listed in the table of a run."""
 NANO = 1e-9
-"""Smaller numbers are shown as 0, as rounding errors: it is the resolution of times, s."""
+"""Smaller numbers count as rounding errors and are shown as 0. This is the resolution of times, s."""
 ALL_EQUAL = "all equal"
 """The text in place of the half width if all values are equal, because their t interval has no width."""
 
@@ -102,8 +102,8 @@ def digits_of(values: Sequence[Estimate]) -> int:
 def digits_in(value: Estimate, digits: int | None = None) -> int:
     """Return the number of decimals of an estimate in a column with `digits` decimals; None = in a column of its own.
 
-    The estimate has more decimals if they would show its half width as 0, so that the mean would seem certain. If it
-    has no half width, it has more if they would show its mean as 0.
+    The estimate has more decimals if `digits` would show its half width as 0, so that the mean would seem certain. An
+    estimate without a half width has more if `digits` would show its mean as 0.
     """
     has_width = value.count > 1 and value.others is None
     size = value.half_width if has_width else abs(value.mean)

@@ -60,7 +60,7 @@ def retransmissions(result: Result) -> int:
 
 
 def acknowledgements(result: Result) -> int:
-    """Return the number of acknowledgements that receivers sent, also of those that waited or were lost in a queue."""
+    """Return the number of acknowledgements that receivers sent, even if they waited or were lost in a queue."""
     return _counts(result).acknowledgements
 
 

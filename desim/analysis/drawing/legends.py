@@ -23,7 +23,7 @@ def uncover_data(figure: Figure) -> bool:
     for axes, legend in covering:
         texts, title = [text.get_text() for text in legend.get_texts()], legend.get_title().get_text()
         size = legend.get_texts()[0].get_fontsize()
-        by_label = handles_of([axes])  # these have marks, which the handles of a legend may lack
+        by_label = handles_of([axes])  # these lines have marks, which the handles of a legend may lack
         handles: list[Any] = [
             by_label.get(text, handle) for text, handle in zip(texts, legend.legend_handles, strict=True)
         ]

@@ -95,7 +95,7 @@ def write(events: Iterable[Event], file: Path, beliefs: Pieces | None = None, he
 class Mcap(Value):
     """An MCAP file for Foxglove: players, messages, beliefs and a log.
 
-    It has no beliefs if `record.messages` is not true: if it is "file", the trace may be too long for the memory.
+    It has beliefs only if `record.messages` is true: with "file", the trace may be too long for the memory.
     """
 
     kind: Literal["mcap"] = "mcap"

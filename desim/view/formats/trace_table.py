@@ -104,7 +104,7 @@ COLUMNS: Mapping[str, Column] = MappingProxyType(
 PARTS: Mapping[str, Sequence[str]] = MappingProxyType(
     {"pursuers": ("pursuer", "x", "y"), "evaders": ("evader", "x", "y"), "speeds": ("speed",), "format": ()}
 )
-"""By field of an event, its columns, unless the field is one column of the same name."""
+"""The columns of each field of an event, except of fields that are one column of the same name."""
 BATCH = 1 << 15
 """Number of rows of a row group of Parquet, which are in memory together."""
 

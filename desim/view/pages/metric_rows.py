@@ -22,7 +22,7 @@ FIRST = (
 )
 """The metrics that are shown first, in their order."""
 CONFIDENCE = 1.0 - 0.05 / len(FIRST)
-"""The confidence at which one of these metrics differs over several seeds: 95 % for all together (Bonferroni)."""
+"""The confidence of the test of one of these metrics over several seeds: 95 % for all together (Bonferroni)."""
 ROUNDING = 1e-9
 """A value of at most this size counts as a rounding error of 0."""
 HALF_A_DIGIT = 0.0005

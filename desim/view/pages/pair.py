@@ -17,7 +17,7 @@ MAX_TEXT = 48
 INFINITY = "Infinity"
 """Infinity as a JSON value; see `desim.config.model.Value.plain`."""
 IGNORED = {"name", "seed", "record", "sweep"}
-"""Keys of a scenario that are not compared: three do not change a run, and for `seed`, the runs have their seeds."""
+"""Keys of a scenario that are not compared: `seed`, because the seeds of the runs are, and three without an effect."""
 
 
 class Difference(NamedTuple):

@@ -30,7 +30,7 @@ from desim.view.pages.replay_plane import (
 )
 
 MANY_MESSAGES, COARSE_TICK = 1_000_000, 10_000
-"""If a run has more messages, the shortest tick, ns: random latencies then take two bytes instead of four.
+"""With more than `MANY_MESSAGES`, a tick has at least `COARSE_TICK` ns: latencies then take two bytes, not four.
 
 This tick is shorter than a frame at the slowest speed.
 """

@@ -146,7 +146,7 @@ def estimates_data(result: Result, ticks: Ticks) -> ReplayData | None:
     per_metre = _per_metre(all_places(result))
     x, y, xx, xy, yy = np.array([(event.x, event.y, event.xx, event.xy, event.yy) for event in estimates]).T
     mean, half = (xx + yy) / 2.0, (xx - yy) / 2.0
-    offset = np.hypot(half, xy)  # of the two eigenvalues of a covariance from their mean
+    offset = np.hypot(half, xy)  # the distance of both eigenvalues of a covariance from their mean
     variances = np.column_stack([mean + offset, mean - offset])
     semi_axes = np.minimum(np.sqrt(np.maximum(variances, 0.0)) * per_metre, MAX_LENGTH)
     angles = np.array([*map(atan2, xy.tolist(), half.tolist())]) / 2.0

@@ -1,7 +1,7 @@
 """A run as a GIF or an MP4 for slides: a plan view of the players that shows active pursuers and messages in flight.
 
 Colours, symbols and the motion of messages are as in the replay: see `desim.analysis.drawing.palette` and
-`desim.view.pages.replay_data`. A collision is a cross, as any other loss.
+`desim.view.pages.replay_data`. A collision is a cross, like any other loss.
 
 All frames share one background, and those of a GIF one palette; equal runs give equal bytes.
 """
@@ -57,7 +57,7 @@ DPI = 100
 MAX_FRAMES = 1500
 """Maximum number of frames; each takes 0.4 MB of memory in a GIF of the usual size."""
 MAX_PIXELS = 1_000_000_000
-"""Maximum number of pixels of all frames of a GIF together, which are in memory; those of an MP4 are not."""
+"""Maximum number of pixels of all frames of a GIF, which are in memory at once; those of an MP4 are not."""
 PIXELS = re.compile(r"(?P<width>\d+)(x(?P<height>\d+))?px")
 SIDES = 100, 4096
 """The least and the greatest width and height of a frame, pixels."""
@@ -428,7 +428,7 @@ class _MessageDots:
         return places
 
     def ended_between(self, before: int, t: int, *, lost: bool) -> Floats:
-        """Return the (k, 2) positions, m, of the marks of messages lost, or else delivered, in (before, t] (ns)."""
+        """Return the (k, 2) positions, m, of the marks of messages `lost`, else delivered, in (before, t] (ns)."""
         has_ended = (self.lost == lost) & (before < self._until) & (self._until <= t)
         way = (self._target - self._source)[has_ended]
         length = np.hypot(way[:, 0], way[:, 1])

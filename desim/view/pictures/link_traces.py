@@ -23,7 +23,7 @@ GRID = 400
 LEGEND = 0.5
 """Height of the legend, inches."""
 SHORT = 10
-"""Largest length of labels, in letters, of which five fit into a row of the legend."""
+"""Five labels of at most this many letters fit into a row of the legend."""
 Y_LABELS: dict[type[LinkTrace], str] = {
     LatencyTrace: "one-way latency (ms)",
     LossTrace: "probability of loss",
@@ -47,7 +47,7 @@ def link_traces(scenario: Scenario) -> Figure:
     Up to six links have a line each. A row without a value, whose messages are lost, is a cross at the value before it.
     Instead of more than six links, the panel shows their median, the middle 90 % and the share without a value.
 
-    A model of a user's class that overrides how the table is replayed is left out.
+    A model is left out if its class, by a user, overrides how the table is replayed.
 
     Raises:
         ValueError: if no link follows measurements.

@@ -91,7 +91,7 @@ def active_periods(result: Result) -> list[ActivePeriod]:
 
 def _active_periods(evader: int, pursuit: EvaderPursuit) -> list[ActivePeriod]:
     """Return the active periods of the pursuers of one evader, ordered by end."""
-    begins = {pursuer: 0 for pursuer, chasing in enumerate(pursuit.start) if chasing}  # of the present periods
+    begins = {pursuer: 0 for pursuer, chasing in enumerate(pursuit.start) if chasing}  # of present periods, ns
     times = [0, *(t for t, _, _ in pursuit.steps), pursuit.end]
     periods, alone = [], len(begins) == 1
     for step, (t, next_t) in zip([None, *pursuit.steps], pairwise(times), strict=True):

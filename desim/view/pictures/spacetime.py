@@ -263,7 +263,7 @@ def _draw_messages(axes: Axes, messages: Sequence[Delivery], rows: dict[int, int
     latency = float(np.mean(flights)) / SECOND if flights else 0.0
     t, row = _ends(lost, rows)
     collided = np.array([message.cause == "collision" for message in lost])
-    # An acknowledged message that is given up after collisions ends when it begins, too, but at its receiver.
+    # An acknowledged message that is given up after collisions also has two equal times, but it ends at its receiver.
     has_no_arrival = (t[1] == t[0]) & ~collided
     share = np.where(has_no_arrival, 1.0 - LOSS_GAP / np.abs(row[1] - row[0]), 1.0)
     t[1] += np.where(has_no_arrival, latency * share, 0.0)
