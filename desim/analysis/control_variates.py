@@ -82,7 +82,7 @@ class ControlledEstimate(Estimate):
 
     @property
     def worth(self) -> float:
-        """The number of runs without a control that would have the same standard error; inf if this one is 0.
+        """The number of runs without a control that would have the same standard error; inf if that is 0.
 
         It is about n / (1 - R^2 + n R^2 / (m - n)) with n pairs among m runs of the control, and less for few pairs.
         """

@@ -82,6 +82,7 @@ def users_metrics(named: Sequence[NamedMetric], more: Metrics = MappingProxyType
     """Return the metrics that a scenario names (`record.metrics`), then those of `more`, each with its name.
 
     Raises:
+        TypeError: if `more` is not a mapping.
         ValueError: if a metric is not a function, or if its name is already taken or is not an identifier.
     """
     functions: Any = more

@@ -71,7 +71,7 @@ def under_protocol(scenario: Scenario, kind: str) -> Scenario:
 
 @naming_arguments
 def judge(prop: Stated, result: Result) -> Judgement:
-    """Judge a run: return the margin of a property. A property with a reference costs one more run.
+    """Return how far a run is from violating a property. A property with a reference costs one more run.
 
         judge("idle never longer than 2", desim.run(scenario)).margin
 

@@ -145,8 +145,9 @@ def with_half_width(value: Estimate, runs: int, sign: str = "", unit: str = "", 
     """Return "mean +- half width of the 95 % interval", with the number of values if it differs from `runs`.
 
     If all values are equal, return "mean in all, others < p", with the upper bound p of the share of all runs that have
-    another value. Without values, return a dash. `sign` is the sign option of a format: "+" shows the sign of a
-    positive mean, too. `unit` follows the number. `digits` is the number of decimals in the column; see `digits_in`.
+    another value. Otherwise, for a share, return "share (low .. high)". Without values, return a dash. `sign` is the
+    sign option of a format: "+" shows the sign of a positive mean, too. `unit` follows the number. `digits` is the
+    number of decimals in the column; see `digits_in`.
     """
     if not value.count:
         return "-"

@@ -100,7 +100,7 @@ def _variables(function: FunctionType, owner: Any) -> Iterator[tuple[Any, str, R
 
 
 def _modules_of(function: FunctionType) -> Iterator[tuple[str, dict[str, Any], Collection[str]]]:
-    """Yield the name and the namespace of each module of users that a function refers to, and the names that it uses.
+    """Yield the modules of users that a function is in or refers to: name, namespace, and the names that it uses there.
 
     A function that finds variables by texts, as in `globals()["calls"]`, uses the names that are among its constants.
     """
@@ -118,7 +118,7 @@ def _modules_of(function: FunctionType) -> Iterator[tuple[str, dict[str, Any], C
 
 
 def reached_code(objects: Iterable[Any]) -> list[Any]:
-    """Return the functions and classes of users among some objects, and those that their code reaches, each once.
+    """Return the code of users that is among some objects or in their reach: functions, classes and caches, each once.
 
     The code of a function reaches what it calls or reads by name.
     """

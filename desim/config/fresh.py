@@ -92,13 +92,15 @@ LARGE = 10_000
 
 
 def _snapshot(value: Any) -> Any:
-    """Return what differs if a value has changed; None if that cannot be found out.
+    """Return a description that differs after the value has changed; None if changes cannot be found.
 
     Objects that are shared by all runs count by their identity.
     """
     if isinstance(value, COLLECTIONS) and (value.size if isinstance(value, np.ndarray) else len(value)) >= LARGE:
         return None
-    if type(value) is BuiltinFunctionType and value.__name__ in ADDING:  # code that has only it cannot read anything
+    if (
+        type(value) is BuiltinFunctionType and value.__name__ in ADDING
+    ):  # code with only this method cannot read the collection
         return None
     if is_stateless(value) and not isinstance(value, np.ndarray):
         return [value]

@@ -35,7 +35,7 @@ DATES = frozenset("mM")
 
 
 def as_python(value: Any) -> Any:
-    """Return a value in which all numbers are `int` or `float`, and all ordered collections, such as arrays, are lists.
+    """Return a value in which all numbers are Python's, and ordered collections such as arrays are lists or tuples.
 
     The values of dicts and the items of lists are converted, too; lists of Python's numbers are not copied.
 

@@ -69,7 +69,7 @@ def shared_changes(objects: Iterable[Any], snapshot: Callable[[Any], Any]) -> It
 
     Args:
         objects: the classes and functions, perhaps among other objects.
-        snapshot: returns what differs if a value has changed; None if that cannot be found out.
+        snapshot: returns a description that differs after a value has changed; None if changes cannot be found.
     """
     objects = reached_code(objects)
     outside = Outside.of_all(map(_outside, objects))

@@ -125,7 +125,7 @@ def path_data(result: Result, ticks: Ticks) -> ReplayData:
 def headings_data(result: Result) -> ReplayData | None:
     """Return the players with inertia, and their headings at each sample as a column; None without such players.
 
-    The unit is a `TURN`th of a full turn, from the x axis to the left.
+    The unit is a `TURN`th of a full turn, counterclockwise from the x axis.
     """
     headings = Headings(result.scenario, result.seed)
     if not headings.players:

@@ -73,7 +73,7 @@ class Session:
         self._comparisons.pop(page, None)
 
     def compare(self, now: Changes, pinned: Changes, count: int, page: str = "") -> Generator[Answer, None, None]:
-        """Run both scenarios with equal seeds, and yield the differences up to then after each pair of runs.
+        """Run both scenarios with equal seeds; after each pair of runs, yield the mean differences so far.
 
         The seeds are those of several runs of the scenario with the changes `now`, see `seeds_from`. An earlier
         comparison of the same page is cancelled.
