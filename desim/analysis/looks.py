@@ -3,9 +3,9 @@
 A *look* is an interim check of whether the runs of a study suffice.
 
 A sequential study ends as soon as a look finds a half width of at most a target. `python -m scenarios.coverage` made
-this table: the share of intervals that cover the mean, in %, the bias of the mean in half widths of the target, and the
-mean number of values, from 4000 studies each (s.e. at most 0.7 %, and 0.015 for the bias). The target is the half width
-of n = 30 or 300 values with a known sigma, 1.96 sigma / sqrt(n).
+this table from 4000 studies each (s.e. at most 0.7 %, and 0.015 for the bias). It has the share of intervals that cover
+the mean, in %, the bias of the mean in half widths of the target, and the mean number of values. The target is the half
+width of n = 30 or 300 values with a known sigma, 1.96 sigma / sqrt(n).
 
     distribution               target of   first look at 3          at 30                    at 100
     normal                            30   92.2 +0.002   34 values   94.7 +0.004   36 values   95.1 +0.011  100 values
@@ -19,9 +19,9 @@ of n = 30 or 300 values with a known sigma, 1.96 sigma / sqrt(n).
 
 A study of skewed values ends when its values happen to vary little, and then their mean is too low. So the intervals
 cover the mean of exponential values in about 94 % of cases, and that of lognormal ones in 90 %. Other rules help
-little: a correction as of Chow & Robbins, a tenth more runs after the last look, and a first look at 25 to 50 times the
-squared skewness of the values (Cochran 1977, "Sampling Techniques", section 2.15) bring lognormal values to 90 to 93 %,
-with up to ten times the runs.
+little. They bring lognormal values to 90 to 93 %, with up to ten times the runs: a correction as of Chow & Robbins, a
+tenth more runs after the last look, and a first look at 25 to 50 times the squared skewness of the values (Cochran
+1977, "Sampling Techniques", section 2.15).
 """
 
 from collections.abc import Sequence

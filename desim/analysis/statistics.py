@@ -207,7 +207,7 @@ def paired(values: Sequence[float | None] | Floats, others: Sequence[float | Non
 
 
 def differences(values: Floats, others: Floats) -> Floats:
-    """Return the (n, ...) differences of n pairs; those in a column that are equal but for rounding are made equal.
+    """Return the (n, ...) differences of n pairs; a column that is equal up to rounding is made equal.
 
     For example, 0.3 - 0.2 and 1.3 - 1.2 differ in the last bit. From this scatter, a t interval would exclude 0.
     """

@@ -98,9 +98,7 @@ def _snapshot(value: Any) -> Any:
     """
     if isinstance(value, COLLECTIONS) and (value.size if isinstance(value, np.ndarray) else len(value)) >= LARGE:
         return None
-    if (
-        type(value) is BuiltinFunctionType and value.__name__ in ADDING
-    ):  # code with only this method cannot read the collection
+    if type(value) is BuiltinFunctionType and value.__name__ in ADDING:  # its holder cannot read the collection
         return None
     if is_stateless(value) and not isinstance(value, np.ndarray):
         return [value]

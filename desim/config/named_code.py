@@ -45,7 +45,7 @@ def is_unlisted_import(kind: Any) -> bool:
 def entry_points_of(group: str) -> list[EntryPoint]:
     """Return the entry points of a group: those of other distributions, then one for each kind in `KINDS_OF`.
 
-    No distribution needs to declare the latter.
+    No distribution needs to declare the kinds in `KINDS_OF`.
     """
     tables = [kinds().get(group, {}) for kinds in KINDS_OF.values()]
     listed = [EntryPoint(kind, definition, group) for table in tables for kind, definition in table.items()]
@@ -69,7 +69,7 @@ def load_named(kind: str, folder: Path | None) -> Any:
     """Import and return the object "module:name"; the name may have dots, for example "module:Outer.Inner".
 
     An object that `KINDS_OF` or an entry point of a group `desim.*` lists is loaded as an entry point. A module
-    that lies in `folder` precedes any other of its name, except those of Python and of desim; modules of one name in
+    that lies in `folder` precedes any other of its name, except those of Python and of desim. Modules of one name in
     different folders are different modules, and each imports the modules beside it (`desim.config.own_modules`).
 
     An import runs the code of the module. If the object is not listed (`is_unlisted_import`), the caller must first

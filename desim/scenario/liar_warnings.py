@@ -28,7 +28,7 @@ def lie_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     for k, fault in enumerate(scenario.fault):
         if not isinstance(fault, ByzantineFault):
             continue
-        stays = fault.acts == "stay"  # which has an effect whatever the pursuer sends
+        stays = fault.acts == "stay"  # staying has an effect, whatever the pursuer sends
         if isinstance(fault, Slander) and not (has_accusations or stays):
             yield f"fault.{k}", "it has no effect, because `announce.trust` reads no accusations"
         elif not (isinstance(fault, Slander | Silent) or stays) and tells_nothing(scenario):

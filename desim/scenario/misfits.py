@@ -1,7 +1,7 @@
 """Errors about values of several tables of a scenario that cannot be simulated together.
 
-A value that is wrong whatever the others are is refused by its own class, and so are values of one table that do not
-fit together. Errors that models of links find in the links that use them (`check_links`) are collected by
+The class of a table refuses a value that is wrong in any scenario, and values of the table that do not fit together.
+Errors that models of links find in the links that use them (`check_links`) are collected by
 `desim.kernel.models.own_links.link_misfits`, because a network without a scenario raises them, too.
 """
 

@@ -29,18 +29,18 @@ RARE_TURNS = 10.0
 """A filter that is tuned for a longer time between two turns of an evader, s, gives a warning.
 
 Turns in random directions at a rate 1 / T change each component of a velocity v as a diffusion v / sqrt(T) does. In
-scenarios/noisy.toml with the fusion by_stamp, the mean normalised squared error of positions, 2 if the filter is as
-sure as it should be, is 5.3 +- 1.8, 3.2 +- .7, 1.9 +- .2 and 1.5 +- .1 for T = 320, 81, 8 and 0.8 s (8 seeds; the
-errors are standard errors).
+scenarios/noisy.toml with the fusion by_stamp, the mean normalised squared error of positions should be 2. It is
+5.3 +- 1.8, 3.2 +- .7, 1.9 +- .2 and 1.5 +- .1 for T = 320, 81, 8 and 0.8 s (8 seeds; the errors are standard errors):
+for a long T, the filter is too sure.
 """
 
 
 DISPLACED = 0.5
 """A warning is given if a wrong clock displaces a sighting by more than so many standard deviations of its noise.
 
-In scenarios/noisy.toml with the fusion by_stamp, where the error of the range is 0.3 m, the mean normalised squared
-error of positions is 1.9, 2.4 and 5.5 with clocks that are wrong by 0, 0.1 and 0.3 s, in which the evader moves 0, 0.09
-and 0.27 m.
+In scenarios/noisy.toml with the fusion by_stamp, the error of the range is 0.3 m. If clocks are wrong by 0, 0.1 and
+0.3 s, the evader moves 0, 0.09 and 0.27 m in this time. The mean normalised squared error of positions is then 1.9, 2.4
+and 5.5.
 """
 
 

@@ -145,9 +145,9 @@ class Sweep(Value):
     grid: Annotated[dict[str, Values], BeforeValidator(_flat), PlainSerializer(_grid_in_tables)] = Field(
         default_factory=dict
     )
-    """Dotted keys of the scenario as in --set, each with the list of its values, or with a range "FIRST:LAST:STEP" of
-    numbers, such as "0:1:0.1", the last included, or "log:FIRST:LAST:COUNT" with equal ratios; every combination is a
-    configuration. "LOW:HIGH" and "log:LOW:HIGH" are ranges from which `design` chooses."""
+    """Dotted keys of the scenario as in --set, each with a list of values or a range of numbers; every combination is a
+    configuration. The range "FIRST:LAST:STEP", such as "0:1:0.1", includes the last number; "log:FIRST:LAST:COUNT" has
+    equal ratios; "LOW:HIGH" and "log:LOW:HIGH" are ranges from which `design` chooses."""
     design: Annotated[Design, BeforeValidator(design_of), _OrText()] | None = None
     """How points in the ranges of the grid are chosen, such as "sobol:64"; absent if the grid has no ranges."""
 

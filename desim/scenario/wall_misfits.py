@@ -21,7 +21,7 @@ Misfit = tuple[tuple[str | int, ...], str]
 INSTEAD = "let the walls not block it (`blocks` of each `wall` without motion), or choose"
 """The advice in messages; the name of another kind follows it."""
 MAX_COMPARED = 1_000
-"""Number of pursuers of which the paths to an evader are compared before a run."""
+"""Number of pursuers whose paths to an evader are compared before a run."""
 
 
 def wall_misfits(scenario: AnyScenario) -> Iterator[Misfit]:

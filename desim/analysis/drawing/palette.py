@@ -11,7 +11,7 @@ SERIES = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
 """Colours of the lines of a diagram, in order."""
 MARKERS = "osD^vPX"
 """Marks of the lines of a diagram, in order. Their number has no common divisor with that of `SERIES`, so 42 lines in a
-row differ, and lines of one colour differ in their marks, for readers and printers that show no colour."""
+row differ. Lines of one colour differ in their marks, for readers and printers that show no colour."""
 
 ACTIVE = BLUE
 """A pursuer that chases an evader alone."""

@@ -2,8 +2,8 @@
 
 After Lamport 1978, "Time, Clocks, and the Ordering of Events in a Distributed System", figure 1. The arrow of
 a message begins at its transmission and ends at its arrival. A message lost at transmission or in the queue has no
-arrival time: it is drawn as if it took the mean latency of the drawn messages that are not lost, and ends just short of
-the line of its receiver. A message lost on arrival ends on the line of its receiver, with an asterisk if it collided.
+arrival time. It is drawn with the mean latency of the drawn messages that are not lost, and ends just short of the line
+of its receiver. A message lost on arrival ends on the line of its receiver, with an asterisk if it collided.
 """
 
 from collections.abc import Iterable, Sequence
