@@ -59,7 +59,7 @@ class DeliveryTable:
     events: Sequence[Broadcast | Sent | Queued]
 
     def take(self, rows: Integers) -> "DeliveryTable":
-        """Return some rows, in their order."""
+        """Return the rows with the given indices, in the order of the indices."""
         if len(rows) == len(self.dst) and (np.diff(rows) > 0).all():
             return self
         columns = ("transmission", "src", "dst", "created", "left", "until", "cause", "event")

@@ -35,7 +35,7 @@ _collected: ContextVar[list[str] | None] = ContextVar("collected", default=None)
 
 @contextmanager
 def collected_warnings() -> Iterator[list[str]]:
-    """Yield a list that collects the texts of `StateWarning`s in their place: nobody reads the warnings of a worker."""
+    """Yield a list of the texts of `StateWarning`s, which are then not given: nobody reads the warnings of a worker."""
     texts: list[str] = []
     token = _collected.set(texts)
     try:
@@ -53,7 +53,7 @@ def _warn(text: str) -> None:
 
 
 _runs: WeakKeyDictionary[Any, dict[str, tuple[Any, Any]]] = WeakKeyDictionary()
-"""By function, class or module, what its variables were before and after the last run that used them, by name."""
+"""By function, class or module, then by variable: snapshots before and after the last run that used the variable."""
 
 
 @contextmanager

@@ -10,8 +10,8 @@ the function or class with the attribute also has the trait. Only attributes of 
 Private attributes, and attributes set in `__init__` or on a `functools.partial`, are not.
 
 A trait may follow from other methods of a model: a faster way to compute the same, for example, or a bound. If a class
-overrides such a method but not the trait, the inherited trait would still follow from the overridden method, so it does
-not count: see `Follows`. Nor do such traits count for an object that wraps a model and passes on its attributes by
+overrides such a method but not the trait, the inherited trait would still follow from the overridden method. The trait
+then does not count: see `Follows`. Nor does it count for an object that wraps a model and passes on its attributes by
 `__getattr__`: see `is_passed_on`. Conversely, a class that overrides only a fast way is refused: see `Traits.twins`.
 """
 
@@ -72,7 +72,7 @@ class Follows:
         self.not_above = not_above
 
     def is_outdated(self, trait: str, model: type) -> bool:
-        """Return whether the trait that a class of models has or inherits does not follow from its methods."""
+        """Return whether the trait that a class of models has or inherits does not follow from methods of the class."""
         trait_positions = positions(model, trait)
         if not trait_positions or is_ours(model):  # in a built-in class, traits and methods agree
             return False
@@ -150,7 +150,7 @@ class Traits(Value):
 
     @classmethod
     def passed_on(cls, value: Any) -> frozenset[str]:
-        """Return the names of the traits that an object passes on from a model, and that follow from its methods.
+        """Return the names of the traits that an object passes on from a model and that follow from methods there.
 
         `kind` counts among these, because it names the class with the methods.
         """

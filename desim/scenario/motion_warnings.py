@@ -67,7 +67,7 @@ def motion_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
 
 
 def _all_too_slow(fastest: float, evader_speeds: Sequence[float], pruned: bool) -> str:
-    """Return the warning that no pursuer is faster than some evaders.
+    """Return the warning that some evaders are at least as fast as every pursuer.
 
     Args:
         fastest: greatest speed of the pursuers, m/s.

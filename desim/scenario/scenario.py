@@ -202,7 +202,7 @@ class Scenario(Value):
             raise TypeError(f"with_ takes values by key, {form} for instance (got {value_text(changes)})")
         source = Source.of(self)
         for name, value in sorted(changes.items(), key=lambda change: str(change[0]).count(".")):
-            source.change(name, value)  # a table before what is changed in it
+            source.change(name, value)  # a table is set before the keys in it
         return validated(source, Scenario)
 
     def _instead_of(self, name: str) -> str:

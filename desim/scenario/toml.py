@@ -134,7 +134,7 @@ def looked_up_in(source: Source, folder: Path) -> Source:
 
 
 def _in_folder(node: Any, folder: Path) -> Any:
-    """Return tables in which the names of code say the folder in which their modules are looked up."""
+    """Return tables in which each name of code says the folder where its module is looked up."""
     if isinstance(node, dict):
         return {key: _in_folder(value, folder) for key, value in node.items()}
     if isinstance(node, list):
@@ -223,7 +223,7 @@ def dump(scenario: Scenario) -> str:
 
 
 def brief(scenario: Scenario, folder: Path | None = None, **texts: Any) -> str:
-    """Return a scenario as TOML without the keys that have their defaults.
+    """Return a scenario as TOML without the keys that have their defaults; with all keys if it could not be read back.
 
     Args:
         scenario: the scenario.

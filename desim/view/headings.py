@@ -14,7 +14,7 @@ from desim.scenario.scenario import Scenario
 ROUNDING = 1e-9
 """A displacement of at most this share of the distance from the origin (m, plus 1) is a rounding error."""
 SLOW = 1e-3
-"""A player whose motion in the flow is at most this share of its drift may be at rest there."""
+"""A player whose motion relative to the flow is at most this share of its drift may be at rest in the flow."""
 
 
 class Headings:
