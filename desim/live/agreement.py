@@ -24,7 +24,7 @@ from desim.study.workers.batch import seeds_from
 GATE = 0.02
 """The 99th percentile of lateness, s, above which a comparison says nothing."""
 FALSE_ALARMS = 0.05
-"""The probability that some metric is said to differ although none does, by Bonferroni's inequality."""
+"""An upper bound, by Bonferroni's inequality, on the probability that a metric seems to differ although none does."""
 SHOWN = ("active_time", "idle_time", "crowded_time", "end_time", "decisions", "messages_sent", "messages_lost")
 """The metrics that are compared."""
 CONFIDENCE = 1.0 - FALSE_ALARMS / len(SHOWN)
@@ -46,7 +46,7 @@ class Row(NamedTuple):
 
     @property
     def errors(self) -> float:
-        """The difference beyond the margin, in standard errors; infinite if it is the same in all pairs."""
+        """The difference beyond the margin, in standard errors; infinite if all pairs differ by the same amount."""
         if not self._beyond:
             return 0.0
         error = self.difference.standard_error

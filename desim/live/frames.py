@@ -17,7 +17,7 @@ NUMBERS = "<c16"
 class WorldFrame(NamedTuple):
     """The state of the world at one time; positions and velocities are those of all pursuers, then evaders.
 
-    They are hexadecimal digits of complex numbers, because JSON takes ten times as long to read as many floats.
+    They are hexadecimal digits of complex numbers: reading them as numbers of JSON takes ten times as long.
     """
 
     t: int
@@ -78,7 +78,7 @@ class Mirror:
         self._last = -1
 
     def follow(self, frame: WorldFrame) -> None:
-        """Let the world be as in a frame, unless it is older than the last one."""
+        """Set the world to the state in a frame, unless the frame is older than the last one."""
         if frame.t < self._last:
             return
         state, self._last = self.state, frame.t
@@ -112,7 +112,7 @@ class Mirror:
         self._replace(profile)
 
     def _replace(self, profile: list[int]) -> None:
-        """Set the actions of all pursuers, and since when changed ones are performed."""
+        """Set the actions of all pursuers, and the start of those that change."""
         for pursuer, (old_action, new_action) in enumerate(zip(self.state.profile, profile, strict=True)):
             if old_action != new_action:
                 self.state.acting_since[pursuer] = self.state.now

@@ -22,7 +22,7 @@ NumberRange = tuple[int, int]
 
 
 class WireError(ValueError):
-    """A datagram is malformed, or a message cannot be one."""
+    """A datagram is malformed, or a message cannot be encoded as a datagram."""
 
 
 class FieldForm(Enum):
@@ -46,7 +46,7 @@ class FieldLayout(NamedTuple):
     begin: int
     """Index of its first number among those of a fixed count."""
     end: int
-    """Index after its last number; of places, the length of the list."""
+    """Index after its last number; for `FieldForm.PLACES`, the length of the list."""
     limits: NumberRange | None
     """The limits of the items of a list or of places; `Layout` has those of numbers of a fixed count."""
 
@@ -57,7 +57,7 @@ class Layout:
     Args:
         body: the class of the body, a named tuple.
         lengths: the lengths of lists, by the name of the field; any other list varies in length.
-        limits: the limits of the numbers in a field, by its name: one for all, or one for each of the first few.
+        limits: by name of a field, the limits of its numbers: one pair for all, or one for each of the first few.
 
     Attributes:
         size: bytes of the numbers of a fixed count.

@@ -31,7 +31,7 @@ class Lines(asyncio.Protocol):
         self._transport = cast("asyncio.Transport", transport)
 
     def data_received(self, data: bytes) -> None:
-        """Hand on each complete line; close the connection of a stranger, who sends something that is no such line."""
+        """Hand on each complete line; close the connection of a stranger, who sends anything else."""
         *lines, self._rest = (self._rest + data).split(b"\n")
         for line in lines:
             try:

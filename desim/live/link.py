@@ -87,7 +87,7 @@ class SocketLinkLayer(LinkLayer):
         departures: the transmissions since the last report, at most `MAX_KEPT`.
         outcomes: the fates of datagrams that have arrived since the last report, at most `MAX_KEPT`.
         drops: the numbers of dropped datagrams.
-        errors: the delays of the last `MAX_KEPT` deliveries behind their times, ns.
+        errors: how late the last `MAX_KEPT` deliveries were, ns.
         trusts_stamps: whether the stamps of records, which are by the clocks of their sources, show the true time.
     """
 

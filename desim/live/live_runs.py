@@ -19,7 +19,7 @@ from desim.live.result import LiveResult
 from desim.scenario.scenario import Scenario
 
 LinkKind = Literal["drawn", "namespaces", "netem"]
-"""How the links are made: drawn by the receivers, without or between network namespaces, or by netem."""
+"""How losses and latencies arise: drawn by the receivers, in one or several network namespaces, or made by netem."""
 
 
 @naming_arguments
@@ -37,7 +37,7 @@ def run(
         scenario: the experiment.
         seed: seed of every random stream; if None, the seed of the scenario.
         hosts: (N,) the host at which each pursuer listens; None: the loopback. On another host, start a process with
-            the command that `tell` is given.
+            the command that is passed to `tell`.
         links: how the links are made; see `LinkKind`.
         tell: called with sentences about the run as it goes on.
 
@@ -166,9 +166,9 @@ def _run(play: Callable[[], Any]) -> Any:
         Thread(target=run_there).start()
         return outcome.result()
     except BaseException:
-        if not running.cancel():  # if cancelled, it makes a coroutine that has not begun fail
+        if not running.cancel():  # if this cancels it, `play_here` fails at its start
             loop, task = running.result()
-            with suppress(RuntimeError):  # it has just ended
+            with suppress(RuntimeError):  # the loop has just been closed
                 loop.call_soon_threadsafe(task.cancel)
             wait([outcome])
         raise

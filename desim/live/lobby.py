@@ -226,9 +226,9 @@ class _Pursuer:
 
     lines: Lines
     addresses: list[Any]
-    """Those of its socket and of its mailbox."""
+    """The addresses of its socket and of its mailbox."""
     is_done: bool = False
-    """Whether it has reported its last, or was lost."""
+    """Whether its last report has come, or its process was lost."""
     loss: asyncio.Task[None] | None = None
     """The call of `_tell_loss`; asyncio does not keep a task alive by itself."""
 

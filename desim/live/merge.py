@@ -29,13 +29,13 @@ class _Fate(NamedTuple):
 
 
 class Logs:
-    """What the pursuers of a live run have reported.
+    """The reports of the pursuers of a live run.
 
     Args:
         wire: reads their datagrams.
 
     Attributes:
-        crashed: by pursuer whose process was lost, when that was noticed, ns.
+        crashed: by pursuer whose process was lost, the time at which the loss was noticed, ns.
         transports: the counts of the transports of each pursuer.
     """
 
@@ -43,7 +43,7 @@ class Logs:
         self._wire = wire
         self._departures: list[tuple[int, SentDatagram]] = []
         self._fates: defaultdict[int, dict[tuple[int, bool], DatagramFate]] = defaultdict(dict)
-        """By the number of a datagram, which includes its sender: by receiver, and whether it is the fate of a copy."""
+        """By number of a datagram, which includes its sender: its fates, by receiver and whether of a copy."""
         self._lines: list[str] = []
         self.crashed: dict[int, int] = {}
         self.transports: list[TransportCounts] = []

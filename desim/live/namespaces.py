@@ -1,4 +1,4 @@
-"""Network namespaces of Linux: each pursuer behind an interface of its own, and netem on it where the system has it."""
+"""Network namespaces of Linux: each pursuer has an interface of its own, on which netem may make the links."""
 
 import ctypes
 import os

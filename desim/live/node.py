@@ -68,8 +68,8 @@ class Node:
     """The protocol of one pursuer, live: positions go in, actions and velocities come out.
 
     The protocol, its schedule, its dissemination and its transport run unchanged, in the time of the wall clock.
-    Messages travel as datagrams between the sockets of the nodes, and the links of the scenario are drawn where they
-    arrive (`desim.live.link`).
+    Messages travel as datagrams between the sockets of the nodes. The receiver of a datagram draws its loss and its
+    latency from the models of the scenario (`desim.live.link`).
 
     Args:
         scenario: the experiment. All nodes have the same.
@@ -81,7 +81,7 @@ class Node:
 
     Raises:
         TypeError: if `scenario` is no scenario; the message says what to write instead.
-        ValueError: if the scenario cannot run live, has no such pursuer, or `on_action` takes no action.
+        ValueError: if the scenario cannot run live, has no such pursuer, or `on_action` cannot take an action.
 
     Attributes:
         pursuer: see above.
@@ -165,7 +165,7 @@ class Node:
         team = TeamProcesses(env, scenario, _CrashingRobot(self), {me: agents[me]}, judges, None, None)
         inject(faults, env, network, crashed=team.crashed, recovered=team.recovered)
         team.begin()
-        # The first use of these imports and computes; during the run, it would delay the timers.
+        # The first use of these attributes imports and computes, which would delay the timers during the run.
         _, _ = agents[me].latency, agents[me].mean_degree
         as_sent(agents[me].announcement())
         return agents[me]
@@ -188,7 +188,7 @@ class Node:
         """Listen at an address, and run the protocol until the block ends.
 
         Args:
-            address: its own host and port; port 0: a free one.
+            address: the host and the port of this node; port 0: a free one.
             peers: (N,) the addresses of all pursuers, in order; the address of this pursuer is not used.
             now: returns the time since the start of the run, ns, which all nodes should have in common; None: this node
                 starts now. See docs/howto/live.md, "Clocks".
@@ -197,7 +197,7 @@ class Node:
             ValueError: if an address is not a host and a port, or `now` does not return an integer; see also `connect`.
             OSError: if the address cannot be used.
             RuntimeError: if the node has been opened before.
-            BaseException: what the protocol raises.
+            BaseException: any exception of the protocol.
         """
         if self.clock is not None:
             raise RuntimeError("a node runs once: create another one")
@@ -264,7 +264,7 @@ class Node:
             now: as for `open`.
 
         Raises:
-            BaseException: what the protocol raises.
+            BaseException: any exception of the protocol.
         """
         _check_time(now)
         self.clock = WallClock(self._env, self._over, now, self._read)
@@ -306,8 +306,8 @@ class Node:
     def arrived(self, datagram: bytes, address: Address) -> None:
         """Take a datagram from the socket.
 
-        If nothing is left to decide about a record when it arrives (`is_certain`), it does not wake the clock. The
-        clock reads all such records together when it goes on, which takes a quarter of the time.
+        A record whose arrival is certain (`is_certain`) does not wake the clock. The clock reads such records together
+        when it goes on, in a quarter of the time that waking for each one takes.
         """
         clock = self.clock
         self._unread.append((datagram, self._number_of.get(address), None if clock is None else clock.now()))
@@ -335,24 +335,24 @@ class Node:
 
     @property
     def now(self) -> float:
-        """The time of the last event, s since the start of the run. A call of `sense`, say, is an event, too."""
+        """The time of the last event, s since the start of the run. Calls such as `sense` are events, too."""
         return seconds(self._env.now)
 
     def follow(self, frame: WorldFrame) -> None:
-        """Let the world be as in a frame of the referee."""
+        """Set the world to the state in a frame of the referee."""
         self._meet(partial(self._mirror.follow, frame))
 
     def sense(self, position: Any, evaders: Any, teammates: Any = None, velocities: Any = None) -> None:
         """Tell the node where the pursuer and the evaders are now.
 
-        Between two calls, evaders go on at their velocities, and pursuers stand. Before the first call, which
-        may come before `open`, all are where a simulation begins.
+        Between two calls, evaders go on at their velocities, and pursuers stand. Before the first call, all players
+        are where a simulation begins. The first call may come before `open`.
 
         Args:
             position: [x, y] of the pursuer, m.
             evaders: (M, 2) positions of the evaders, m.
-            teammates: (N, 2) positions of all pursuers, m, its own included; None: it does not sense them, so
-                `announce.payload` should be "time", "state" or "course", and the links cannot depend on positions.
+            teammates: (N, 2) positions of all pursuers, m, including this one. None: the pursuer senses no teammates,
+                so `announce.payload` should be "time", "state" or "course", and no link may depend on positions.
             velocities: (M, 2) velocities of the evaders, m/s; None: they stand still until the next call.
 
         Raises:
@@ -379,7 +379,7 @@ class Node:
         self._meet(partial(self._sense, place, team, evader_places, evader_velocities))
 
     def _sense(self, place: complex, team: Points | None, evaders: Points, velocities: Points | None) -> None:
-        """Let the players be where they are now; for the arguments see `sense`."""
+        """Set the positions and velocities of the players; for the arguments see `sense`."""
         state, now = self._state, self._env.now
         places = state.players.positions().copy()
         self._positions.are_told = team is not None or state.size == 1
@@ -408,7 +408,7 @@ class Node:
     def velocity(self) -> list[float]:
         """Return the velocity that the pursuer should command now, [vx, vy], m/s.
 
-        It is that of the guidance of the scenario, along the shortest path among walls, and relative to the flow. Ask
+        The guidance of the scenario gives it, along the shortest path among walls and relative to the flow. Call this
         at least once per `motion.step`: otherwise the robot may run past the corner of a wall.
         """
         self._meet()
@@ -439,9 +439,9 @@ class Node:
 
 
 class _CrashingRobot:
-    """The robot that scheduled crashes take down and up again in the node's own state of the world.
+    """Takes the robot down and up again in the node's own state of the world, at scheduled crashes.
 
-    `TeamProcesses` gets it in place of the world. The referee takes down the true robot.
+    `TeamProcesses` gets this object in place of the world. The referee takes down the true robot.
     """
 
     def __init__(self, node: Node):
@@ -457,7 +457,7 @@ class _CrashingRobot:
 
 
 class _ToldPositions(PursuerPositions):
-    """The positions of pursuers, as frames or robots tell them; a robot may not tell those of its teammates.
+    """The positions of pursuers, as frames or robots tell them; a robot need not tell those of its teammates.
 
     Args:
         state: the state of the world.
@@ -469,7 +469,7 @@ class _ToldPositions(PursuerPositions):
 
     def __init__(self, state: WorldState, pursuer: int):
         super().__init__(state, inf)
-        self.max_speed = inf  # they may jump, also those that do not move
+        self.max_speed = inf  # told positions may jump, also in a static game
         self._pursuer, self.are_told = pursuer, True
 
     def __call__(self) -> Floats:
@@ -493,7 +493,7 @@ class _ToldPositions(PursuerPositions):
         return super().at(nodes, times)
 
     def _check(self, nodes: Iterable[int]) -> None:
-        """Raise ValueError if a position is asked for that is not told."""
+        """Raise ValueError if the position of one of these nodes is not told."""
         if not self.are_told and any(node != self._pursuer for node in nodes):
             raise ValueError(
                 f"pursuer {self._pursuer}: sense was given no teammates, and the network depends on where they are: by"

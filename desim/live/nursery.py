@@ -1,7 +1,7 @@
-"""The nursery: a process of one thread that forks those of the pursuers, and tells how each of them ends.
+"""The nursery: a process with one thread that forks the processes of the pursuers, and tells how each of them ends.
 
-The caller may have threads, which no fork survives, and several runs need the imports once. The nursery ends its
-children when its standard input ends, which is when the caller ends, whatever way; where Linux has it, the children end
+It is a process of its own because a fork of a caller with threads may hang, and because it imports once for several
+runs. Its standard input ends when the caller ends, in any way; it then ends its children. On Linux, children also end
 with the nursery even if they hang.
 """
 
@@ -41,9 +41,9 @@ class Nursery:
 
     def __init__(self) -> None:
         self._ended: list[OnEnd] = []
-        """By number of a run."""
+        """The function to call, by number of the run."""
         self._alive: set[tuple[int, int]] = set()
-        """Numbers of runs and of their pursuers."""
+        """The number of the run and of the pursuer of each process that has not ended."""
 
     async def __aenter__(self) -> Self:
         """Start the nursery.
@@ -75,7 +75,7 @@ class Nursery:
         run = len(self._ended)
         self._ended.append(ended)
         self._alive |= {(run, start.pursuer) for start in starts}
-        # Only a call is packed, so the scenario and the starts are the result of one; `sys.path` has to be set before.
+        # `packed` takes a call: one that returns the scenario and the starts. Unpacking it needs `sys.path`.
         task = pickle.dumps((run, sys.path, packed(partial(tuple, (scenario, starts)))))
         assert self._process.stdin is not None
         with suppress(ConnectionError):  # if the nursery has ended, which `_watch` tells
@@ -104,7 +104,7 @@ class Nursery:
 
 
 def serve() -> None:
-    """Fork a process for each pursuer that standard input names, and print run, number and status of each that ends."""
+    """Fork a process for each pursuer that standard input names; print run, number and status when a process ends."""
     for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(name, signal.SIG_IGN)  # the caller decides when all end
     children: dict[int, tuple[int, int]] = {}

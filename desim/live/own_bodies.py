@@ -41,7 +41,7 @@ class OwnBodies:
         self._names |= {kind: kind.__name__ for name, kind in self._classes.items() if kind.__name__ == name}
 
     def pack(self, port: str, body: Any) -> bytes:
-        """Return a port and a body as bytes, after four bytes with the number of these."""
+        """Return a port and a body as bytes, preceded by their number in four bytes."""
         with naming_extras():
             from msgspec import msgpack
         try:
@@ -86,7 +86,10 @@ class OwnBodies:
         )
 
     def _parts(self, value: Any) -> Iterable[Any]:
-        """Return the items of a named tuple, or the fields of a dataclass; raise WireError if it has others."""
+        """Return the items of a named tuple, or the fields of a dataclass.
+
+        Raise WireError if a field has no value, or an attribute is no field.
+        """
         if isinstance(value, tuple):
             return value
         names = [field.name for field in fields(value)]
@@ -120,9 +123,9 @@ class OwnBodies:
 
 
 def _names_around(protocol: Any) -> dict[str, Any]:
-    """Return what the names in the module of a protocol denote; empty if the protocol is a built-in one.
+    """Return the objects in the module of a protocol, by name; empty if the protocol is a built-in one.
 
-    A process to which the protocol was sent has no such module: its functions have the names that they use.
+    A process that has received the protocol has no such module. The functions of the protocol have the names they use.
     """
     while isinstance(protocol, partial):
         protocol = protocol.func

@@ -19,7 +19,7 @@ from desim.live.start import PursuerStart
 from desim.scenario.scenario import Scenario
 
 REPORTS = 0.25
-"""Time between two reports of what has happened, s; what was not reported by a process that is killed is lost."""
+"""Time between two reports of events, s. If a process is killed, its events since the last report are lost."""
 SILENCE = 1.0
 """Time without a frame after which a pursuer prints that the referee is silent, s."""
 GIVE_UP = 30.0

@@ -1,4 +1,4 @@
-"""The referee of a live run: it moves the players, answers what the pursuers sense, and ends the run."""
+"""The referee of a live run: it moves the players, sends the state of the world to the pursuers, and ends the run."""
 
 from collections.abc import Callable, Generator, Sequence
 from functools import partial
@@ -128,7 +128,7 @@ class Referee:
         Instant(self._env, self._env.now, Phase.SAMPLE + 1).callbacks.append(self._send_frame)
 
     def _watch(self, event: Event) -> None:
-        """Send a frame of an event that pursuers cannot foresee."""
+        """Send a frame after an event that pursuers cannot foresee."""
         if isinstance(event, Captured | BrokeDown):
             self._send_frame_soon()
 
@@ -142,7 +142,7 @@ class Referee:
             self._send_frame_soon()
 
     def _crash(self, pursuer: int, how: str) -> None:
-        """Take a pursuer down whose process was lost; end the run if a protocol has raised an exception."""
+        """Take down a pursuer whose process was lost; end the run if a protocol has raised an exception."""
         if self._lobby.errors:
             self._end.finish("stopped")
             return

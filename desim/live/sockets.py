@@ -21,7 +21,7 @@ LARGEST = 1 << 16
 TIMESTAMP = 35 if sys.platform == "linux" else None
 """The option of a socket whose datagrams the system stamps on arrival, `SO_TIMESTAMPNS`; None: there is none."""
 ANCILLARY = 64
-"""Bytes of a time stamp, with what the system needs beside it, at most."""
+"""The largest number of bytes of a time stamp with its header."""
 MAX_TAKEN = 4096
 """Number of datagrams that are read at a time at most, lest a flood of them stops everything else."""
 _TIMESPEC = Struct("@ll")
@@ -55,11 +55,11 @@ def udp_socket(address: Address) -> socket.socket:
 
 
 def resolved(address: Address, family: int = socket.AF_UNSPEC) -> Address:
-    """Return an address with the IP address of its host in place of a name, as the sender of a datagram is known.
+    """Return an address with the IP address of its host in place of a name, as sockets report senders of datagrams.
 
     Args:
         address: the address.
-        family: the family of the IP address, that of the sending socket: a name may have an address of each family.
+        family: the family of the IP address, as of the sending socket; a name may have an address of each family.
 
     Raises:
         OSError: if the host is not known, has no address of the family, or stands for all addresses of a machine.
@@ -99,7 +99,7 @@ class Datagrams:
     def _read(self) -> None:
         try:
             datagram, sender = self._socket.recvfrom(LARGEST)
-        except OSError:  # none after all, or nobody listens at the address of a node that has crashed
+        except OSError:  # no datagram after all, or one that was sent reached no socket, after a crash
             return
         self._take(datagram, sender[:2])
 
@@ -118,7 +118,7 @@ class Datagrams:
 class Mailbox:
     """The datagrams that arrive at a socket, and stay there until they are read.
 
-    No process wakes for a datagram, which would take most of its time. The system stamps each on arrival.
+    No process wakes for a datagram: waking is most of what a datagram costs. The system stamps each one on arrival.
 
     Args:
         bound: the socket.
@@ -137,7 +137,7 @@ class Mailbox:
     def read(self) -> list[tuple[bytes, Address, int]]:
         """Return the datagrams since the last read, the addresses from which they came, and their ages, ns."""
         now, system_time = time.monotonic_ns(), time.time_ns()
-        # Stamps are in system time, which may have been set: an age is at most the time since the last read.
+        # Stamps are in system time, which may jump: ages are limited to the time since the last read.
         longest, self._last_read = now - self._last_read, now
         taken: list[tuple[bytes, Address, int]] = []
         with suppress(BlockingIOError):  # there are no more

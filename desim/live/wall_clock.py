@@ -37,11 +37,11 @@ class Lateness(NamedTuple):
 
 
 class WallClock:
-    """Lets a clock of SimPy follow the wall clock, from its creation in a coroutine until an event.
+    """Lets a clock of SimPy follow the wall clock until an event; created in a coroutine.
 
-    An event happens at the time for which it was planned, by the clock, and a little later by the wall clock. Between
-    two events the clock stands at the last one. What comes from outside happens by `meet`, at the time of the wall
-    clock. Nothing here is a task of asyncio: a timer of the loop waits for the next event.
+    By the clock, an event happens at its planned time; by the wall clock, a little later. Between two events the clock
+    shows the time of the last one. Input from outside is processed by `meet`, at the time of the wall clock. Nothing
+    here is a task of asyncio: a timer of the loop waits for the next event.
 
     Args:
         env: the clock.
@@ -51,7 +51,7 @@ class WallClock:
 
     Attributes:
         lateness: how late each timer was, ns.
-        ended: is done when the clock has stopped, and then raises what a process of the clock has raised.
+        ended: is done when the clock has stopped; raises the exception of a process of the clock, if there was one.
     """
 
     def __init__(

@@ -9,12 +9,12 @@
     n  the body: 8 bytes a number, in the order of its fields; the lists whose length varies come last
 
 All numbers are big-endian. Integers have a sign, and booleans are 0 or 1. A record inside a body has a header of its
-own, which begins with a set bit, and so cannot be taken for a number of the list before it. An item of a list that may
-be missing has its place in the upper 16 bits of its number.
+own. The set bit with which a header begins distinguishes it from the numbers of the list before it. If items of a list
+may be missing, the upper 16 bits of a number hold the place of its item.
 
-A frame repeats a message, whose time it keeps. The 4 bytes of its session, which is always 0 live, therefore hold how
-much later it was transmitted: the receiver adds the latency to that time. They count modulo 2^32 us, 71 min (`CYCLE`);
-the attempt counts modulo 256.
+A frame carries the time of the message that it repeats. Its session is always 0 in a live run. The 4 bytes of the
+session therefore hold the delay from this time to the transmission, to which the receiver adds the latency. The delay
+counts modulo 2^32 us, 71 min (`CYCLE`), and the attempt modulo 256.
 
 Bodies of users have no such layout (`desim.live.own_bodies`). Nothing of a datagram is executed: it names an entry of
 the tables below, or is malformed.
@@ -99,7 +99,7 @@ class Kind(IntEnum):
     SKIP = 4
     ACKNOWLEDGEMENT = 5
     SEGMENT_OF_RECORD = 6
-    """A segment whose body is one record of its sender, with the header of the segment for its own."""
+    """A segment whose body is one record of its sender; its header serves as the header of the record, too."""
     PIECE_OF_RECORD = 7
 
 
@@ -108,13 +108,13 @@ OF_RECORD = frozenset({Kind.RECORD, Kind.SEGMENT_OF_RECORD, Kind.PIECE_OF_RECORD
 
 
 class Parcel(NamedTuple):
-    """What a datagram carries."""
+    """The content of a datagram."""
 
     number: int
     """Unique for the sender, its receiver and the run; see `datagram_number`."""
     src: int
     start: int
-    """When it was transmitted, ns; of a frame, that or a multiple of `CYCLE` earlier."""
+    """The time of transmission, ns; for a frame, it may be too early by a multiple of `CYCLE`."""
     content: Record | Message
     port: str
     to_one: bool
@@ -212,7 +212,7 @@ class Wire:
         return kinds[1], frame.seq, attempt, second, record.body
 
     def _only_record(self, body: Any, size: int) -> Record | None:
-        """Return the record that a body consists of, if its own body is counted to have `size` bytes; else None."""
+        """Return the only record of a forwarded body if the layout of the record's body has `size` bytes; else None."""
         if isinstance(body, Forwarded) and len(body.records) == 1:
             packed = self._body_of(body.records[0].body)
             if packed is not None and len(packed[1]) == size:
@@ -259,7 +259,7 @@ class Wire:
         if not word & MARK or src >= self._nodes or abs(stamp) > MAX_INTEGER:
             raise ValueError("not a header")
         unique, body_number, port = word << 32 | seq, word >> 8 & 0x1F, PORTS[port_number]
-        if kind is Kind.RECORD and body_number in self._announced:  # most datagrams, in two thirds of the time
+        if kind is Kind.RECORD and body_number in self._announced:  # a shortcut for most datagrams
             body = self._announced[body_number].read(datagram, HEADER, self._records)
             return _new(Parcel, (unique, src, stamp, _new(Record, (src, seq, stamp, body)), "", to_one))
         admitted = ANNOUNCED if kind in OF_RECORD else ADMITTED[port_number]
@@ -286,7 +286,7 @@ class Wire:
         return Parcel(unique, src, stamp + delay * MICROSECOND, Message(src, stamp, frame), FRAMES, to_one)
 
     def _read(self, number: int, data: bytes, at: int) -> Any:
-        """Return the body with a number, which begins at an index of the data."""
+        """Return the body of the kind `number` that begins at the index `at` of the data."""
         if number == NOTHING:
             if len(data) > at:
                 raise ValueError("bytes after the end")
@@ -321,7 +321,7 @@ class Wire:
 def datagram_number(datagram: bytes) -> int:
     """Return the number of a datagram: its first eight bytes and, of a frame, the eight that a frame adds.
 
-    The latter tell attempts apart whose numbers are equal modulo 256.
+    Without the eight of a frame, attempts whose numbers are equal modulo 256 would have one number.
     """
     is_frame = datagram[2] >> 5 > Kind.MESSAGE
     return int.from_bytes(datagram[:8] + datagram[HEADER : HEADER + NUMBER] if is_frame else datagram[:8], "big")
@@ -347,7 +347,7 @@ def _frame_of(
 
 
 def _bits(frame: Acknowledgement, size: int) -> bytes:
-    """Return the numbers that an acknowledgement lists, as a bit each beyond the expected number."""
+    """Return the numbers that an acknowledgement lists, as one bit for each number from the expected one on."""
     field = 0
     for seq in frame.received:
         field |= 1 << (seq - frame.expected)
@@ -355,6 +355,6 @@ def _bits(frame: Acknowledgement, size: int) -> bytes:
 
 
 def _received(expected: int, data: bytes) -> tuple[int, ...]:
-    """Return the inverse of `_bits`."""
+    """Return the numbers that `_bits` has packed."""
     field = int.from_bytes(data, "big")
     return tuple(expected + k for k in range(field.bit_length()) if field >> k & 1)

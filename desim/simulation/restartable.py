@@ -90,7 +90,7 @@ def _add_notes(error: BaseException, pursuer: int, agent: Agent) -> None:
 
 
 def _restored_id_error(agent: Agent, pursuer: int) -> AttributeError:
-    """Give an agent its id again, and return the error of a protocol that has changed it."""
+    """Restore the id of an agent, and return the error for the protocol that has changed it."""
     agent.id, other = pursuer, agent.id
     return AttributeError(
         f"pursuer {pursuer}: the protocol has set me.id to {value_text(other)}; the id of an agent stays"
@@ -98,12 +98,12 @@ def _restored_id_error(agent: Agent, pursuer: int) -> AttributeError:
 
 
 METHOD_AS_VALUE = re.compile(r"'(?:method|function)' object|operand .*'(?:method|function)'")
-"""Finds in a message of Python that a method was used as a value."""
+"""Matches Python's message about a method that was used as a value."""
 EVENT_CLASSES = {"Event", "Instant"}
 """The classes that Python's message names if a behaviour writes `yield from` before an event."""
 NOT_ITERABLE = re.compile(r"'(\w+)' object is not iterable")
 WRONG_CALL = re.compile(r"(\w+)\.([^\W_]\w*)\(\) ")
-"""Finds in a message of Python the class and the name of a public method that was called with wrong arguments."""
+"""Matches Python's message about wrong arguments; its groups are the class and the name of the public method called."""
 
 
 def _advice(error: TypeError | AttributeError) -> str:

@@ -1,6 +1,6 @@
 """Steering: the velocities of all players, set at each motion step and when an action changes within a step.
 
-Kept equal to a team led at once by
+The velocities of a team computed at once or one by one are kept equal by
 `tests/pursuit/test_kinematics.py::test_pursuers_led_one_by_one_run_as_a_team_led_at_once`.
 """
 
@@ -31,8 +31,8 @@ class Steering:
             position at the start.
 
     Attributes:
-        turns: for each pursuer that comes to a corner of a wall within this motion step, the time (ns) at which it
-            arrives there and is to be redirected.
+        turns: by pursuer, the time (ns) within this motion step at which it reaches a corner of a wall and is to be
+            redirected.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class Steering:
             drift = self._drift(target.player, evader_velocity, now, until)
             if self._evader_first:
                 aim, observed_velocity = players.advance(target.player, evader_velocity, duration, drift)
-            else:  # the evader has not begun the velocity that it has just chosen
+            else:  # simultaneous: pursuers do not know the new velocity of the evader
                 aim, observed_velocity = place + drift * duration, players.course(target.player).velocity + drift
             target.path.see(now, place, aim, observed_velocity, until)
             velocities[target.player] = evader_velocity

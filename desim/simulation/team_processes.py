@@ -71,7 +71,7 @@ class TeamProcesses:
         announces = self._scenario.announces
         for pursuer, agent in self._agents.items():
             if announces and announce.start == "announced":
-                # In the relay phase, so that without latency it arrives over all hops before the first decision.
+                # In the relay phase: without latency, the announcement travels all hops before the first decision.
                 agent.after(self._start_delay(agent), agent.broadcast, Phase.RELAY)
             relay = RestartableProcess(env, agent, announce.dissemination, Phase.RELAY)
             self.processes[pursuer] = relay, RestartableProcess(env, agent, protocol, Phase.DECISION)
@@ -111,7 +111,7 @@ class TeamProcesses:
                         process.interrupt(self._recoveries[crash.node])
 
     def recovered(self, crash: Crash) -> None:
-        """End a crash: resume the pursuer unless another crash of its robot lasts, and clear the memory it has lost."""
+        """End a crash: resume the pursuer unless another crash of its robot lasts, and clear the lost memory."""
         node, remembers = crash.node, True
         if crash.scope == "robot":
             self._open_crashes[node].remove(crash)

@@ -33,7 +33,7 @@ OUT_OF_MEMORY = (
 )
 """The advice for a `MemoryError`, which has no text of its own."""
 HAS_THREADS = sys.platform not in {"emscripten", "wasi"}
-"""Whether this Python can start threads; that of a browser (Pyodide) cannot, and has no timers of signals either."""
+"""Whether this Python can start threads. Python in a browser (Pyodide) cannot, and has no signal timers either."""
 RAISE_INTERVAL = 0.1
 """Interval, s, at which the exception of a limit is raised again if it was lost."""
 SOON = 1e-6
@@ -65,7 +65,7 @@ def within(limit: float) -> AbstractContextManager[None]:
     Use it around a run or any other code that may not terminate. The exception is raised between two Python
     instructions, also in an endless loop; a call into C finishes first. Other code may swallow the exception: the
     serialiser of pydantic drops it or raises another exception instead, and Python reports and drops it in `__del__`.
-    It is therefore raised again while the block lasts, but not while the block handles it, so that clean-up is not
+    TimedOut is therefore raised again until the block ends, except while the block handles it: clean-up is not
     interrupted. A block that exceeds its limit always ends with TimedOut, unless it raises KeyboardInterrupt or
     GeneratorExit.
 
@@ -96,7 +96,7 @@ class _Limit(AbstractContextManager[None]):
         self._limit = limit
 
         class Raised(TimedOut):  # one class for each limit, because limits may be nested
-            def __init__(self, *text: object) -> None:  # SimPy copies exceptions, with their text
+            def __init__(self, *text: object) -> None:  # SimPy copies an exception by this call
                 super().__init__(*text or (f"took longer than {limit:g} s: while the timed block was left",))
 
         self._raised = Raised
@@ -143,7 +143,7 @@ class _Alarm(_Limit):
         self._take_timer()
 
     def _take_timer(self) -> None:
-        """Note when the earlier timer is due, and let the timer ring then or, if that is sooner, at the limit."""
+        """Note when the earlier timer is due, and set the timer to this time or to the limit, whichever is sooner."""
         delay, self._other_interval = signal.getitimer(signal.ITIMER_REAL)
         now, end = monotonic(), self._begin + self._limit
         self._other_due = now + delay if delay else inf
@@ -151,22 +151,22 @@ class _Alarm(_Limit):
         signal.setitimer(signal.ITIMER_REAL, max(wait, SOON), RAISE_INTERVAL)
 
     def _return_timer(self) -> None:
-        """Set the timer as the earlier one would be now."""
+        """Set the timer to the remaining time and the interval of the earlier timer."""
         delay = max(self._other_due - monotonic(), SOON) if self._other_due < inf else 0.0
         signal.setitimer(signal.ITIMER_REAL, delay, self._other_interval)
 
     def _ring(self, number: int, frame: FrameType | None) -> None:
-        """Call the handler of the earlier timer if that one is due, and raise the exception if the limit has passed.
+        """Call the handler of the earlier timer if its time has come, and raise the exception if the limit has passed.
 
-        Nothing is raised in a quiet frame; the timer rings again later. Quiet is the code of this module, which reads
-        `is_late` itself; a callback of a weak reference or of the garbage collector, where Python would only print the
-        exception; and code that sets handlers of signals or puts them back.
+        Nothing is raised in a quiet frame; the timer rings again later. Quiet frames are those of this module, which
+        reads `is_late` itself, and of `contextlib`; callbacks of weak references or of the garbage collector, where
+        Python would only print the exception; and code that sets handlers of signals or puts them back.
         """
         now = monotonic()
         if now >= self._other_due:
             interval = self._other_interval
             self._other_due += interval * ((now - self._other_due) // interval + 1.0) if interval else inf
-            self._return_timer()  # the handler may read it or set it anew
+            self._return_timer()  # the handler may read or set the timer
             try:
                 if callable(self._handler):
                     self._handler(number, frame)
@@ -194,7 +194,7 @@ class _Watch(_Limit):
         Thread(target=self._raise_when_late, daemon=True).start()
 
     def _raise_when_late(self) -> None:
-        sys.settrace(None)  # a traced thread of Python 3.11 stands still while an exception is pending in another
+        sys.settrace(None)  # a traced thread of Python 3.11 stops while an exception is pending in another thread
         sys.setprofile(None)
         pause = self._limit
         while not self._wake.wait(pause):
@@ -219,14 +219,14 @@ class _Watch(_Limit):
 
 
 def _is_in(error: BaseException | None, kind: type[BaseException]) -> bool:
-    """Return whether an exception, or one that it was raised while handling, is of a kind."""
+    """Return whether an exception, or one in its chain of contexts, is of a kind."""
     while error is not None and not isinstance(error, kind):
         error = error.__context__
     return error is not None
 
 
 def code_place_of(error: BaseException) -> str:
-    """Return the file, line and function in which an error was raised, if possible of a user's code."""
+    """Return the file, line and function in which an error was raised: the innermost in code of a user, if any."""
     code, line = _raised_in(error)
     return f"{short(code.co_filename)}:{line} ({code.co_name})"
 
@@ -241,7 +241,7 @@ def _raised_in(error: BaseException) -> tuple[CodeType, int]:
 
 
 def _is_generated(frame: FrameType) -> bool:
-    """Return whether a frame runs code without a file that a library generated, as for a named tuple."""
+    """Return whether a frame runs code that a library generated, such as that of a named tuple; it has no file."""
     return frame.f_code.co_filename == "<string>" and frame.f_globals.get("__name__") != "__main__"  # `python -c`
 
 
@@ -277,7 +277,7 @@ def stuck(env: "Clock", error: TimedOut, processes: Mapping[int, Sequence["Resta
     """Return the error for a simulation that timed out.
 
     Its text has the simulated time, the line of code that was interrupted, and up to `MAX_LISTED` lines about waiting
-    processes: one for all processes that wait at the same line of code until the same time.
+    processes: one line for all processes that wait at the same line of code until the same time.
 
     Args:
         env: the clock of the simulation.

@@ -54,7 +54,7 @@ def make_network(
         seed: the seed of the run.
         trace: receives the events of messages; None: they are not recorded.
         link_layer: as in `Network`.
-        positions: the positions of the pursuers. None: those of the state, where no pursuer exceeds its top speed over
+        positions: the positions of the pursuers. None: those of the state, which change at most at the top speed over
             ground.
     """
     faults = draw_faults(scenario.network_faults, state.size, scenario.horizon, seed)

@@ -34,10 +34,10 @@ _new = tuple.__new__  # creates a named tuple in a third of the time
 class World:
     """The physics of a run: it sets actions, moves players, captures evaders and records these events.
 
-    All players move on paths of pieces in closed form: straight ones or, with inertia, a curve and a line. The pieces
-    have common breakpoints: the start of each motion step, each change of an action and each capture. Motion steps
-    start at multiples of `motion.step` and at the waypoints of recorded motions. The next capture is predicted from the
-    present motions. It is predicted again at each breakpoint, and when a pursuer goes down or up.
+    The path of each player is a sequence of pieces in closed form: a line or, with inertia, a curve and then a line.
+    All players have the same breakpoints: the start of each motion step, each change of an action and each capture.
+    Motion steps start at multiples of `motion.step` and at the waypoints of recorded motions. The next capture is
+    predicted from the present motions. It is predicted again at each breakpoint, and when a pursuer goes down or up.
 
     The action of a pursuer is the number of the evader that it chases, 1 .. M, or 0 if it is inactive. A pursuer is up
     or down (from `crash` until `recover`). While down it is commanded to stand still; with inertia it brakes, the flow
