@@ -8,7 +8,7 @@ each of `possible_agents`, or for each agent that appears, in their order:
 
 An agent from which nothing has arrived, and the agent itself, have a blank message and the age -1. An action or an
 observation that is a dict keeps its keys, so an `action_mask` stays where learners look for it; any other becomes the
-key `action` or `observation`. A message None says nothing.
+key `action` or `observation`. A message of None is not sent.
 """
 
 from collections.abc import Hashable

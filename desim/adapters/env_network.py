@@ -25,7 +25,7 @@ NOWHERE = (MAX_COORDINATE / 2, MAX_COORDINATE / 2)
 
 
 class EnvNetwork:
-    """A network beside an environment, whose episodes and steps it shares.
+    """A network beside an environment, with the same episodes and steps.
 
     Args:
         env: the environment, for `positions`.
@@ -33,8 +33,8 @@ class EnvNetwork:
         links: as in `SteppedNetwork`.
         dt: duration of a step, s.
         positions: function of the environment that returns the positions of its agents: (n, 2), or a dict; or None.
-        graph: a networkx graph whose nodes are the agents; the nodes of the network are their rows if None.
-        capacity: the number of nodes, if the agents are not known: each that appears in an episode takes one.
+        graph: a networkx graph whose nodes are the agents; if None, the nodes are the rows of the agents.
+        capacity: the number of nodes, if the agents are not known: each agent that appears in an episode takes one.
         seed: the seed of the network until `reset` is given one.
         at_once: whether all agents transmit at the same instant of a step; if so, a warning is given for a channel on
             which most of their frames overlap.
@@ -146,7 +146,7 @@ class EnvNetwork:
 
 
 def _check_overlap(links: Links, senders: int) -> None:
-    """Warn if most of the frames overlap that the nodes create at one instant; random delays separate them."""
+    """Warn if most of the frames that nodes create at one instant overlap; random delays separate frames."""
     channel = channel_of(links.medium, 0.0)
     if channel is None or type(links.processing.sender) is not Constant:
         return

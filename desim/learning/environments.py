@@ -130,7 +130,7 @@ class AECPursuit(Pursuit, AECEnv[str, Any, Any]):
 class ParallelPursuit(Pursuit, ParallelEnv[str, Any, Any]):
     """All pursuers decide at the same instants: at the rounds of the schedule of the scenario.
 
-    The schedule is `rounds`, in which everybody takes part; another schedule in which all decide at once is kept.
+    The schedule is `rounds` with all pursuers in each round, unless all decide at once in the schedule of the scenario.
     """
 
     metadata: ClassVar = {"name": NAME, "render_modes": list(RENDER_MODES)}
@@ -154,7 +154,7 @@ class ParallelPursuit(Pursuit, ParallelEnv[str, Any, Any]):
     ) -> tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
         """Let all pursuers take their actions, and continue to the next round.
 
-        An action that a mask excludes has the effect of 0, and so has that of a pursuer that is down.
+        An action has the effect of 0 if its mask excludes it, or its pursuer is down.
 
         Returns:
             The observations, rewards, terminations, truncations and infos of the agents of this step.

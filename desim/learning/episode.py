@@ -1,7 +1,7 @@
 """An episode: a run that stops at each turn of a pursuer and waits for its action.
 
 The run is performed in a greenlet, a coroutine with a stack of its own. Where a rule would yield an action, the played
-rule switches to the caller, so no schedule needs to know of it: the order of the turns is that of the run.
+rule switches to the caller. No schedule needs to know of this: the turns have the same order as in a run.
 """
 
 from collections.abc import Iterator, Sequence
@@ -25,7 +25,7 @@ class _Turns:
     """The state that the two sides of an episode share: the run in its greenlet, and the caller.
 
     The run refers to this object and not to the episode: greenlets keep the objects to which their stacks refer, and
-    the garbage collector does not look into them.
+    the garbage collector does not look into stacks.
     """
 
     def __init__(self) -> None:

@@ -28,15 +28,15 @@ def env(
 ) -> "AECPursuit":
     """Return an environment of PettingZoo in which one pursuer at a time decides (AEC).
 
-    Use it to train a rule, or to play one by hand. The run is that of `desim.run`, but for the actions, which the
-    caller chooses: `agent_selection` is the pursuer whose turn comes next under the schedule of the scenario. A pursuer
+    Use it to train a rule, or to play one by hand. The run is that of `desim.run`, except that the caller chooses the
+    actions. `agent_selection` is the pursuer whose turn comes next under the schedule of the scenario. A pursuer
     observes what its agent knows, and nothing else.
 
     Args:
         scenario: the experiment, or the path of its file; None = that of Lee & Bakolas. Its protocol has to be a rule,
             of which only the schedule is used: the caller makes the choices.
-        seed: the seed of the first episode, as in `desim run -s`; None = a random one. Later ones have the seeds of
-            runs 1, 2, ... of this root seed, unless `reset` gets another.
+        seed: the seed of the first episode, as in `desim run -s`; None = a random one. Later episodes have the
+            seeds of runs 1, 2, ... of this root seed, unless `reset` gets another.
         reward: "wonderful_life": the marginal contribution of the pursuer to the utility of the team, as mean over the
             horizon, s; "team": the utility of the team, as mean over the horizon, s; or a function of a step
             (`desim.learning.rewards.Step`) that returns a number for all or one for each pursuer.
@@ -85,9 +85,9 @@ def parallel_env(
 ) -> "ParallelPursuit":
     """Return an environment of PettingZoo in which all pursuers decide at once, in rounds.
 
-    Use it for libraries that expect the parallel interface. If the schedule of the scenario is `rounds`, its period
-    counts, and every pursuer takes part in each round. A schedule at whose turns all pursuers decide anyway is kept.
-    Any other becomes `rounds`. Pursuers whose clocks are wrong decide at other instants, in steps of their own.
+    Use it for libraries that expect the parallel interface. If the schedule of the scenario is `rounds`, its period is
+    kept, and every pursuer takes part in each round. A schedule in which all pursuers decide at each turn is kept. Any
+    other schedule becomes `rounds`. Pursuers whose clocks are wrong decide at other instants, in steps of their own.
 
     Args:
         scenario: as in `env`, as are the other arguments.

@@ -119,7 +119,7 @@ class Pursuit:
         return self._spaces.state_of(self._world)
 
     def pursuer(self, agent: str) -> Agent:
-        """Return the agent that knows what a pursuer knows, as a protocol gets it."""
+        """Return the agent of a pursuer, as a protocol gets it."""
         return self._running.simulation.agents[self._number_of(agent)]
 
     @property
@@ -168,7 +168,7 @@ class Pursuit:
         return self._episode
 
     def _ready(self) -> Episode:
-        """Return the episode, which can go on.
+        """Return the episode, after the check that it can go on.
 
         Raises:
             RuntimeError: if there is none, it is over, its run has failed, or another thread began it.

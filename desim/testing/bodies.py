@@ -1,4 +1,4 @@
-"""The check of dynamics, which are how the body of a player follows commanded velocities: `check_body`."""
+"""The check of dynamics, the models of how the body of a player follows commanded velocities: `check_body`."""
 
 from cmath import phase, rect
 from collections.abc import Iterator
@@ -21,7 +21,7 @@ from desim.testing.judging import Subject, subject, twice
 STEP = 1e-5
 """Time over which velocities and accelerations are computed as differences, s."""
 TOLERANCE = 1e-6
-"""Tolerance of positions, m, of velocities, m/s, and of times relative to them."""
+"""Tolerance of positions, m, of velocities, m/s, and relative tolerance of times."""
 EVADER_SPEED = 0.9
 """Speed of the evader for which capture times are compared, m/s."""
 CAPTURE_RADIUS = 0.1
@@ -194,7 +194,7 @@ class _Body:
         )
 
     def check_steering(self, call: _Call) -> None:
-        """Require that the command of the guidance is replaced by one that is no faster."""
+        """Require that `steered` replaces the command of the guidance by one that is no faster."""
         aim = 3.0 * rect(1.0, abs(call.position))
         text = f"steered({call.command:.3g}, {call.course}, {aim:.3g}, {CAPTURE_RADIUS})"
         with self.tested.blaming(text):
@@ -266,10 +266,10 @@ def check_body(body: Any, *, limit: float = 10.0) -> None:
     """Check the dynamics of a player; if you are unsure whether your body is right, run this.
 
     It checks that a call returns a piece of motion that begins where the player is; that positions are continuous and
-    are the integral of the velocities; that no speed is above those of the course and the command, and the limit is
-    kept that the dynamics name; that pieces join: a command that is given again changes nothing; that the player comes
-    to rest; that contacts are found; that initial headings, steering and capture times are valid, and the capture time
-    of a head-on chase is that of the motion; and that two runs of a scenario, with the body of pursuers and that of an
+    are the integral of the velocities; that no speed is above those of the course and the command; that the limit named
+    by the dynamics is kept; that a repeated command changes nothing, so that pieces join; that the player comes to
+    rest; that contacts are found; that initial headings, steering and capture times are valid, and the capture time of
+    a head-on chase is that of the motion; and that two runs of a scenario, with this body for pursuers and for an
     evader, are equal.
 
     Args:

@@ -31,7 +31,7 @@ from protocols.rule import SCHEDULES
 from protocols.schedules.periodic import slot_length
 
 HORIZON = 1.0
-"""Length of a run, s; the pursuers capture no evader before."""
+"""Length of a run, s; too short for a capture."""
 SITUATIONS: dict[str, dict[str, Any]] = {
     "a run of one pursuer": {"team": Team(count=1, speeds=2.0)},
     "a run of two pursuers": {"team": Team(count=2, speeds=2.0)},
@@ -74,8 +74,8 @@ def check_protocol(protocol: Any, *, limit: float = 10.0, hash_seeds: bool = Fal
     error, break an invariant of messages or motion (`watched`), or go on without end; and two runs of one scenario and
     seed are equal. It also checks that the protocol draws from no global random generator; that pursuers decide, each
     for itself; that they announce what they decide; that the protocol object remembers nothing, since all pursuers
-    share it; that a message which `ignores` of `me.listen` drops would have had no effect; and that it can be sent to
-    the workers of a sweep. The runs last 1 s: check a protocol whose pursuers decide more rarely with a faster
+    share it; that a message which `ignores` of `me.listen` drops would have had no effect; and that the protocol can be
+    sent to the workers of a sweep. The runs last 1 s: if pursuers decide more rarely, check the protocol with a faster
     schedule.
 
     Args:
@@ -185,7 +185,7 @@ def _check_runs(tested: Subject, protocol: Any, limit: float, dissemination: Any
 
 
 def _check_ignored(tested: Subject, where: str, scenario: Scenario, result: Result, limit: float) -> bool:
-    """Require that a run is the same if no message is ignored; return whether any could be (`ignores` of `listen`)."""
+    """Require that a run is the same if no message is ignored; return whether a pursuer uses `ignores` of `listen`."""
     agents: list[Agent] = []
 
     def begins(simulation: Simulation) -> None:
@@ -246,7 +246,7 @@ class _Decisions:
         must_announce = self._traits.announces is True and len(self._actions) > 1
         if (
             must_announce and last_change is not None and last_change < event.t
-        ):  # one message tells simultaneous changes
+        ):  # one message announces simultaneous changes
             self._tested.fail(
                 f"pursuer {event.pursuer} changes its action at {seconds(last_change):g} s and again at"
                 f" {seconds(event.t):g} s, and sends no message between: call me.announce() after me.assign(action), or"
@@ -271,7 +271,7 @@ def _process() -> tuple[int | None, Any]:
 
 
 def _memory_of(protocol: Any) -> bytes | None:
-    """Return the attributes of an object, without what is computed once, as bytes; None if it has none."""
+    """Return the attributes of an object except cached properties, as bytes; None if they cannot be pickled."""
     attributes = getattr(protocol, "__dict__", {})
     cached = {name for name in attributes if isinstance(getattr(type(protocol), name, None), cached_property)}
     try:

@@ -27,7 +27,7 @@ _SITUATIONS: tuple[tuple[str, dict[str, Any], int, int], ...] = (
     ("a run in which it reacts 0.2 s late", {"reaction_delay": 0.2}, 2, 1),
     ("a run with two evaders", {}, 3, 2),
 )
-"""Situations: what each is, keys of the evader, and the numbers of pursuers and evaders."""
+"""Situations: the description, the keys of the evader, and the numbers of pursuers and evaders."""
 
 
 class _Case(NamedTuple):

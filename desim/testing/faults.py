@@ -29,7 +29,7 @@ SIZES = (1, 2, 5)
 def check_fault(fault: Any, *, limit: float = 10.0) -> None:
     """Check a fault, or a plan of faults; if you are unsure whether yours is right, run this.
 
-    It checks that a plan draws valid faults, from the generator given only; that a fault names nodes that exist, and
+    It checks that a plan draws valid faults, only from the generator given; that a fault names nodes that exist, and
     that a page can draw it. Each fault then begins and ends in a run of five or more pursuers: after the end no message
     is lost, also if two faults of its kind overlap; and two runs of one scenario and seed are equal.
 
@@ -125,7 +125,7 @@ def _check_runs(tested: Subject, faults: tuple[Any, ...], where: str, limit: flo
 
 
 class _Ends:
-    """A watcher of losses: none when no fault is active, a millisecond after the last has ended."""
+    """A watcher that requires that no message is lost later than 2 ms after the last active fault has ended."""
 
     def __init__(self, tested: Subject, where: str):
         self._tested, self._where = tested, where

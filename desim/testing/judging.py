@@ -214,7 +214,7 @@ def is_off(sample: NDArray[Any], mean: float, tolerance: float) -> bool:
 def are_more(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> bool:
     """Return whether one of two samples, (n,) pairs of independent truth values, is true more often than the other.
 
-    It is the exact test of McNemar 1947: of the pairs that differ, about half are true in the first sample.
+    This is the exact test of McNemar 1947: without a difference, the first sample is true in half of the unequal pairs.
     """
     from scipy.special import bdtr
 

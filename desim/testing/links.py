@@ -24,7 +24,7 @@ from desim.scenario.scenario import Recording, Scenario
 from desim.testing.judging import Subject, are_apart, are_more, is_off, subject, twice
 
 IMPLAUSIBLE = 10.0
-"""A mean latency, s, from which on a warning asks whether it is in milliseconds."""
+"""The mean latency, s, from which on a warning asks whether the model returns milliseconds."""
 RADIUS = 5.0
 """Radius of the circle on which the nodes are, m."""
 LIMIT = 60.0
@@ -143,12 +143,12 @@ class _Latencies(_Links):
         return lost
 
     def check_batches(self, draws: int) -> Floats:
-        """Require that a link has the same latencies whether others are asked with it; return those of a link."""
+        """Require that the latencies of a link do not depend on the other links of a call; return those of one link."""
         dst = self.targets(0)[:3]
         together, alone = np.empty((draws, len(dst))), np.empty((draws, len(dst)))
         for run in range(draws):
             (together[run],) = self.replies([(0, dst)], run)
-            # The number of the run is its seed, on which the latency of a pair may depend: it is the same as above.
+            # The same number of the run, its seed, as above: the latency of a pair may depend on the seed.
             alone[run] = np.concatenate(list(self.replies([(0, [node]) for node in dst], run, step=0.0)))
         for k, node in enumerate(dst):
             both = ~(np.isnan(together[:, k]) | np.isnan(alone[:, k]))
@@ -220,7 +220,7 @@ class _Losses(_Links):
         return array
 
     def check_batches(self, draws: int) -> NDArray[np.bool_]:
-        """Require that a link loses the same, at once and one after the other, whether others are asked with it.
+        """Require that the losses of two successive messages of a link do not depend on the other links of a call.
 
         Returns:
             (draws, k) the losses of the first message on k links, at most three.
@@ -228,7 +228,7 @@ class _Losses(_Links):
         dst = self.targets(0)[:3]
         together, alone = np.empty((2, draws, 2, len(dst)), bool)
         for run in range(draws):
-            # In another order the second time, so that a state that belongs to a position is found.
+            # The second call reverses the order: this detects state that belongs to an index k instead of a link.
             first, second = self.replies([(0, dst), (0, dst[::-1])], run)
             together[run] = first, second[::-1]
             # The two messages of a link are 0.01 s apart, as above, but each link is asked alone.
@@ -271,16 +271,16 @@ class _Losses(_Links):
 def check_latency(latency: Any, *, nodes: int = 6, draws: int = 200) -> None:
     """Check a model of latency; if you are unsure whether yours is right, run this.
 
-    It checks the shape of what it returns, and that it is a finite time >= 0; that `mean_latency()` is the mean of the
-    draws, and `draw` and `quantile` have their distribution; that a link has the same latency whether it is asked alone
-    or with others; that all draws are from the generator given; that no input is changed; and that two runs of a
+    It checks that the model returns finite times >= 0 of the right shape; that `mean_latency()` is the mean of the
+    draws, and `draw` and `quantile` have their distribution; that the latency of a link does not depend on the other
+    links of a call; that all draws are from the generator given; that no input is changed; and that two runs of a
     scenario are equal. A mean latency of 10 s or more gives a warning.
 
     Args:
         latency: an object, a class that needs no parameters, a kind, or "module:name".
-        nodes: the number of nodes; that of its rows for a matrix.
-        draws: the number of runs whose latencies are compared, at least 2. What happens in fewer than 1 of 1000
-            transmissions needs more.
+        nodes: the number of nodes; for a matrix, the number of its rows.
+        draws: the number of runs whose latencies are compared, at least 2. Latencies rarer than 1 in 1000 transmissions
+            need more.
 
     Raises:
         ContractError: an AssertionError; if the model is wrong, with the call, the input and what is expected.
@@ -292,7 +292,7 @@ def check_latency(latency: Any, *, nodes: int = 6, draws: int = 200) -> None:
     with tested.judged("latency(context, rng)", LIMIT):
         links.check_repeats(_calls(links))
         links.check_draw(links.check_batches(draws))
-        # A mean latency cannot know distances: it is compared where there are none.
+        # `mean_latency()` does not know distances: it is compared where all distances are almost 0.
         drawn = _Latencies(tested, nodes, "latency", radius=1e-6).check_mean(draws)
     if drawn >= IMPLAUSIBLE:
         text = f"{tested.name}: the mean latency is {drawn:.4g} s. Latencies are in s: is it {drawn:.4g} ms, which are"
@@ -304,15 +304,15 @@ def check_latency(latency: Any, *, nodes: int = 6, draws: int = 200) -> None:
 def check_loss(loss: Any, *, nodes: int = 6, draws: int = 1_000, share: float | None = None) -> None:
     """Check a model of loss; if you are unsure whether yours is right, run this.
 
-    It checks that it returns booleans of the right shape; that a link loses the same whether it is asked alone or with
-    others, also of two messages one after the other; that `draw` loses the same share; that all draws are from the
+    It checks that the model returns booleans of the right shape; that the losses of a link do not depend on the other
+    links of a call, also for two successive messages; that `draw` loses the same share; that all draws are from the
     generator given; that each run begins with fresh state; that no input is changed; and that two runs of a scenario
     are equal.
 
     Args:
         loss: an object, a class that needs no parameters, a kind, or "module:name".
         nodes: the number of nodes.
-        draws: the number of runs whose losses are compared, at least 2; of fewer than 22, no difference is improbable.
+        draws: the number of runs whose losses are compared, at least 2; fewer than 22 runs show no difference.
         share: the expected share of lost messages from node 0 to the others, in [0, 1]; the nodes are on a circle of
             radius 5 m. None: any share.
 

@@ -139,7 +139,7 @@ class Conservation:
             arrival = flying.pop(event.dst, None)
             due = departure.t if arrival == LOST else arrival
             _require(due is not None and due >= event.t, "only a message in flight is lost, and only once", event)
-            # A frame that contends is lost in the noise as it ends, which precedes its arrival.
+            # Where nodes contend, a frame is lost in the noise at the end of its airtime, before its arrival.
             is_noise = event.cause == "loss" and event.transmission in self._queued
             is_early = event.cause in ON_AIR or event.cause not in CAUSES or is_noise
             is_on_air = is_early and event.t >= departure.t
@@ -205,7 +205,7 @@ class DeliveredOnce:
 
     - A message is delivered at most once to each receiver, unless the receiver has lost its memory in between.
     - Messages of a sender to a receiver at a port that is `ordered` are delivered in the order in which they were sent.
-      Those to all neighbours have an order of their own.
+      Messages to all neighbours have an order of their own.
 
     Args:
         ordered: the ports at which messages are delivered in order, or True for all.
@@ -216,7 +216,7 @@ class DeliveredOnce:
         self._delivered: dict[tuple[int, int, str, bool], set[tuple[int, int]]] = {}
         """By sender, receiver, port, and whether to all: the time and the number of each delivered message."""
         self._last: dict[tuple[int, int, str, bool], tuple[int, int]] = {}
-        """By the same: the time and the number of the last delivered message."""
+        """By the same keys: the time and the number of the last delivered message."""
 
     def __call__(self, event: Event) -> None:
         """Check an event."""
@@ -276,7 +276,7 @@ class OneToken:
 
 
 class OneFrame:
-    """A watcher of one run that raises AssertionError if a node receives a frame while another is at it.
+    """A watcher of one run that raises AssertionError if a node receives a frame that overlaps another frame.
 
     The other frame is one that the node also receives, or one that the node transmits. The invariant holds for the
     interference model `Collision`; other models let a receiver get the stronger of two frames. Messages that are

@@ -1,4 +1,4 @@
-"""Invariants of radio and sight among walls: a watcher that nothing is received or seen through an opaque wall."""
+"""Invariants of radio and sight among walls: nothing is received or seen through an opaque wall."""
 
 from bisect import bisect_right
 from collections import deque
@@ -57,7 +57,7 @@ class OpacityWatcher:
         self._size = scenario.team.count
         self._samples: deque[tuple[int, Floats]] = deque(maxlen=KEPT)
         self._flying: dict[tuple[int, int], tuple[int, int]] = {}
-        """By transmission and receiver, those that are judged on arrival: the sender, and the time of arrival, ns."""
+        """By transmission and receiver, for messages judged on arrival: the sender, and the time of arrival, ns."""
         self.judged = 0
 
     def __call__(self, event: Event) -> None:
@@ -88,7 +88,7 @@ class OpacityWatcher:
                 self._judge_receptions(arrival, src, [key[1]])
 
     def _judge_receptions(self, t: int, src: int, receivers: list[int]) -> None:
-        """Judge whether some nodes receive another at a time, ns."""
+        """Judge the receptions of a message of the node `src` by some nodes at a time, ns."""
         self.judged += len(receivers)
         for dst in self._behind(t, src, receivers, self._radio):
             raise AssertionError(

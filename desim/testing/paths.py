@@ -1,4 +1,4 @@
-"""Invariants of motion among walls: a watcher that no path crosses a wall, and that nothing is captured through one."""
+"""Invariants of motion among walls: no path crosses a wall, and no evader is captured through one."""
 
 import numpy as np
 

@@ -187,9 +187,9 @@ class InertiaWatcher:
 
     With a limited acceleration a, positions p, p' and p'' at three samples, h apart, satisfy |p'' - 2 p' + p| <= a h^2.
     With a limited turn rate omega, the directions of two successive displacements differ by at most omega times the
-    whole time. At full speed, omega times the time between their middles is the bound, with a relative error of about
-    the square of this angle. Positions are relative to the flow. Dynamics of your own are compared if they say what
-    they limit (`desim.pursuit.motion.dynamics.Limited`).
+    whole time. At full speed the bound is omega times the time between the middles of the displacements, with a
+    relative error of about the square of this angle. Positions are relative to the flow. Dynamics of your own are
+    compared if they say what they limit (`desim.pursuit.motion.dynamics.Limited`).
 
     Args:
         scenario: the scenario of the run.

@@ -35,7 +35,7 @@ SITUATIONS: dict[str, dict[str, Any]] = {
     },
     "a run in which positions are announced": {"payload": "state"},
 }
-"""What each scenario changes in that of an honest team of five; "payload" is the key of the announcements."""
+"""By situation, the changes to the scenario of an honest team of five; "payload" is the key of the announcements."""
 
 
 class _Observer:
@@ -112,7 +112,7 @@ def _check_judge(tested: Subject, judge: Any, limit: float) -> None:
 def _check_forgets(tested: Subject, judge: Any, new: Any, limit: float) -> None:
     """Check that a judge that has been called before answers after forget() as a new one.
 
-    The judge meets the teammates in the order of their ids before, and in the reverse order afterwards.
+    The judge meets the teammates in the order of their ids before forget(), and in the reverse order afterwards.
     """
 
     def believed(judge: Any, order: range) -> dict[int, bool]:
