@@ -1,9 +1,9 @@
 """What does latency cost robots with inertia, and does one decision at a time still pay for them?
 
-Pursuers with simple motion, with several least turning radii and with several greatest accelerations chase an evader
-that flees the active ones, and so runs towards others that take over. Under Spatial Adaptive Play one pursuer decides
-at a time, or all decide at once in rounds, with equal numbers of decisions. The latency varies. A handover lasts from
-the end of the lone chase of the old pursuer to the beginning of that of the new one.
+Pursuers with simple motion, with several least turning radii and with several greatest accelerations chase an evader.
+It flees the active pursuers, and so runs towards inactive ones, which take over. Under Spatial Adaptive Play one
+pursuer decides at a time, or all decide at once in rounds, with equal numbers of decisions. The latency varies. A
+handover lasts from the end of the lone chase of the old pursuer to the beginning of that of the new one.
 """
 
 from collections.abc import Callable, Sequence

@@ -2,8 +2,8 @@
 
 Each boid tells its heading twenty times a second, and turns towards the mean heading of those that it has heard lately.
 The order of the flock is the length of its mean heading, 1 if all fly alike. The flock is moved here, by ten lines of
-numpy, and desim simulates its messages only (`desim.SteppedNetwork`). Between the two bounds, everything arrives at
-once and nothing ever arrives, latency and loss delay the order.
+numpy, and desim simulates its messages only (`desim.SteppedNetwork`). Two networks are the bounds: on one everything
+arrives at once, on the other nothing ever arrives. Between them, latency and loss delay the order.
 """
 
 from typing import TYPE_CHECKING

@@ -82,7 +82,7 @@ def curved_pairs(rng: np.random.Generator, size: int) -> Pair:
 def pools(seeds: int = POOL) -> dict[str, tuple[Draw, float]]:
     """Return, by name, a function that draws active times of a protocol and of `centralised` from a pool of runs.
 
-    The second entry is the mean of the active times of the protocol in the pool.
+    Beside each function is the mean of the active times of the protocol in the pool.
     """
     schedule = {"kind": "poisson", "rate": 5.0}
     kinds = [{"kind": "centralised", "slot": 0.2}, *({"kind": kind, "schedule": schedule} for kind in POOLED)]

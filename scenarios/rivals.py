@@ -4,14 +4,13 @@ There are three scenarios. "paper" is that of the paper, with one pursuer twice 
 all pursuers are equally fast, so that the relay pursuer (the pursuer that should chase) may change often. "paper,
 unseen" is that of the paper without sensing of teammates, so that announcements also carry positions. A pursuer
 announces exactly ten times a second, so protocols make equally many transmissions, of unequal sizes. There are three
-exceptions. The
-centralised benchmark sends nothing. The geometric rules send nothing where positions are sensed. Under `server`,
-reports and orders replace the announcements, with about as many transmissions. A pursuer, or the planner of the
-centralised benchmark, decides ten times a second on average; the server decides whenever reports arrive. The cost of
-delay is the increase of the potential gap (`desim.analysis.hindsight`) compared with the same protocol with the same
-seeds and without delay. "nobody talks" is Spatial Adaptive Play without any announcement, not even of first actions.
-To measure what a message is worth, `python -m scenarios.start --worth` gives the silent team the protocol and the
-initial knowledge of the speaking one.
+exceptions. The centralised benchmark sends nothing. The geometric rules send nothing where positions are sensed. Under
+`server`, reports and orders replace the announcements, with about as many transmissions. A pursuer, or the planner of
+the centralised benchmark, decides ten times a second on average; the server decides whenever reports arrive. The cost
+of delay is the increase of the potential gap (`desim.analysis.hindsight`) compared with the same protocol with the same
+seeds and without delay. "nobody talks" is Spatial Adaptive Play without any announcement, not even of first actions. To
+measure what a message is worth, `python -m scenarios.start --worth` gives the silent team the protocol and the initial
+knowledge of the speaking one.
 """
 
 from collections import defaultdict

@@ -1,8 +1,8 @@
 """Measure what the initial knowledge of pursuers does to the cost of latency (`announce.start`).
 
-First, the cost of latency is measured for three rules in two teams: few pursuers of one could capture before the
-horizon, and all of the other. First actions are announced over the network, known without a message, or not announced.
-Second, for the team in which few could, the cost is divided between those that could not capture in time and the
+First, the cost of latency is measured for three rules in two teams. In one team few pursuers could capture before the
+horizon, in the other all. First actions are announced over the network, known without a message, or not announced.
+Second, for the team in which few could, the cost is divided between the pursuers that could not capture in time and the
 others, under the mean utility of the paper and under `minimum`. With --law, the study measures instead what announcing
 first actions adds to the scaling law of `scenarios.delay` if all could capture in time; the theory is (1 - 1 / N) L
 lambda. With --worth, it measures what a message saves: a team that announces its actions is compared with a silent one

@@ -55,7 +55,7 @@ class Relay(PettingZooClass):
         return int(self.config["rounds"])
 
     def get_env_transforms(self, env: EnvBase) -> list[Transform]:
-        """Return what normalises observations and states."""
+        """Return the transforms that normalise observations and states."""
         return [
             ObservationNorm(*self.config[key], in_keys=[key], out_keys=[key], standard_normal=True)
             for key in (OBSERVATION, STATE)

@@ -44,7 +44,7 @@ RULES: Mapping[str, Any] = MappingProxyType(
         ALL: SpatialAdaptivePlay(schedule=Rounds(period=PERIOD)),
     }
 )
-"""Spatial Adaptive Play with equal numbers of decisions; all at once: in rounds."""
+"""Spatial Adaptive Play, in which pursuers decide one at a time or in rounds, with equal numbers of decisions."""
 LATENCIES = (0.0, 0.25, 0.5, 1.0)
 """One-way latencies, s."""
 
@@ -108,7 +108,7 @@ def measure(options: Options) -> list[Cell]:
 
 
 def _cell(key: tuple[str, str, float], runs: Sequence[Any], times: Mapping[tuple[str, str, float], Floats]) -> Cell:
-    """Return the results of one combination; `times` has the active times of all."""
+    """Return the results of one combination; `times` has the active times of all combinations."""
     rule, motion, latency = key
     _, caught, durations, handed_over = zip(*runs, strict=True)
 

@@ -1,4 +1,4 @@
-"""The measurements of the numbers in `scenarios.studies.claims`: a function returns a `Number`, which measures one."""
+"""The measurements of the numbers in `scenarios.studies.claims`; each of them is a `Number`, made by a function."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -50,7 +50,7 @@ UNIT = delay_runs.LAMBDA / delay_runs.N
 
 
 def number(measure: Callable[Concatenate[Options, Parameters], Measured]) -> Callable[Parameters, Number]:
-    """Return a function of the arguments that follow the options; it returns a function of the options.
+    """Return a function that binds all arguments of a measurement except the options.
 
     For example, `share(captured, scenario)` is a number in the table of claims, to be measured with some options.
     """
@@ -111,9 +111,9 @@ def worth(options: Options, rule: str, start: Start) -> Measured:
 
 
 def increase(start: Start, *, whole: bool) -> Number:
-    """Return the measurement of the active time that a latency of 0.5 s adds in a team of which few are in time.
+    """Return the measurement of the active time that a latency of 0.5 s adds if few pursuers could capture in time.
 
-    With `whole` it is that of all pursuers, else of those that could not capture in time at the start.
+    With `whole`, all pursuers count, otherwise only those that could not capture in time at the start.
     """
     rule = BestResponse(utility=start_runs.UTILITIES["mean"])
     delayed, prompt = (start_runs.pursuit("few in time", rule, start, delay) for delay in (start_runs.LONG, 0.0))
@@ -198,7 +198,7 @@ def over_before_the_second(options: Options, spreading_factor: int) -> Measured:
 
 @number
 def transported(options: Options, /, way: str | None, scale: float = 1.0, **setting: Any) -> Measured:
-    """Measure the active time of a way to announce minus that of heartbeats; None: that of heartbeats."""
+    """Measure the active time of a way to announce minus that of heartbeats; way None: the time of heartbeats."""
     links = transport_runs.Setting(**setting)
     (reliable,) = options.measure(
         [transport_runs.pursuit(links, transport_runs.RELIABLE)], "", transport_runs.run_of_pursuit
@@ -253,7 +253,7 @@ def of_latency(latency: float, motion: str) -> Number:
 
 @number
 def of_inertia(options: Options, latency: float, motion: str) -> Measured:
-    """Measure how much more active time a latency costs a body than one of simple motion."""
+    """Measure how much more active time a latency costs a body with inertia than a body with simple motion."""
     games = [
         bodies_runs.pursuit(bodies_runs.ONE, kind_of_motion, delay)
         for kind_of_motion in (motion, bodies_runs.SIMPLE)
@@ -280,7 +280,7 @@ def per_handover(options: Options, motion: str, latency: float) -> Measured:
 
 
 def survives(protocol: str) -> Number:
-    """Return the measurement of how much longer an evader survives that flees the active pursuers only."""
+    """Return the measurement of how much longer an evader survives if it flees the active pursuers only."""
     misled, reference = (
         evaders_runs.chase(strategy, protocol) for strategy in (evaders_runs.CLAIMED, evaders_runs.REFERENCE)
     )
@@ -288,7 +288,7 @@ def survives(protocol: str) -> Number:
 
 
 def inferring(interval: float, error: float = 0.0, scale: float = 1.0) -> Number:
-    """Return the measurement of how much longer an evader survives that infers from motion whom to flee."""
+    """Return the measurement of how much longer an evader survives if it infers from motion whom to flee."""
     game = Scenario(protocol="local_min", network=Links(latency=Constant(value=0.1)))
     active = Evader(strategy=PureEvasion(flees_from="active"), motion_interval=interval, motion_error=error)
     return difference(end_time, game.model_copy(update={"evader": active}), game, scale)
@@ -414,7 +414,7 @@ def benchmarked(part: str, protocol: str) -> Number:
 
 
 def least_and_greatest(part: str, protocols: Sequence[str]) -> tuple[Number, Number]:
-    """Return by how much at least and at most protocols are behind `local_min` in the benchmark."""
+    """Return the least and the greatest amount by which protocols are behind `local_min` in the benchmark."""
 
     def number(choose: Callable[[list[float]], float], options: Options) -> Measured:
         reference, *others = (benchmarked(part, protocol)(options)[0] for protocol in ("local_min", *protocols))
@@ -429,7 +429,7 @@ def runs_of_version(_: Options) -> Measured:
 
 
 def outliers(protocol: str) -> Number:
-    """Return the count of the runs with liars in the benchmark that cost more than 3 s in which all of eight chase."""
+    """Return the number of benchmark runs with liars that cost more than all eight pursuers chasing for 3 s."""
     return lambda _: (int(np.sum(bench().costs["liars"][protocol][AS_IT_IS] > 3.0 * 8)), 0.0)
 
 

@@ -67,7 +67,7 @@ class Pursuits:
     access: str
     load: float
     heartbeat: float
-    """Time between two announcements of a pursuer, s; of a token ring, N times the time for which it is held."""
+    """Time between two announcements of a pursuer, s; of a token ring, N times the holding time of the token."""
     active_time: Estimate
     difference: Estimate
     """Paired difference of the active time from that over the channel `REFERENCE`, s."""
@@ -157,7 +157,7 @@ def best_heartbeat(size: int) -> float:
 
     With an airtime T, a heartbeat h is received with p = exp(-a / h), a = 2 (N - 1) T. With a jitter J, the coefficient
     of variation c of the waits is given by c^2 = J^2 / 3, so the mean age is T + h ((1 + c^2) / 2 + 1/p - 1), as of any
-    renewal process (Yates et al. 2021, "Age of Information: An Introduction and Survey"). It is least where
+    renewal process (Yates et al. 2021, "Age of Information: An Introduction and Survey"). This age is least where
     e^x (1 - x) = (1 - c^2) / 2 with x = a / h. With Poisson heartbeats, c = 1, the best h is a.
     """
     squared_variation = JITTER**2 / 3

@@ -11,7 +11,7 @@ from desim.analysis.looks import FIRST_LOOK, runs_needed
 from desim.analysis.statistics import NORMAL_975, estimate, wilson
 
 SIZES = (30, 300)
-"""The numbers of values that give the targets."""
+"""The numbers of values; each target is the half width of that many values of known deviation."""
 FIRST_LOOKS = (3, 30, FIRST_LOOK)
 MOST = 20
 """The largest number of values of a study, in multiples of the greater of its size (see `SIZES`) and its first look."""

@@ -70,7 +70,7 @@ class Cell:
 def static(schedule: Schedule, latency: float, start: Start = "announced") -> Scenario:
     """Return a game without motion in which all pursuers start active, could capture in time, and decide greedily.
 
-    It goes on until it has settled.
+    The protocol runs until the actions have settled.
     """
     protocol = SpatialAdaptivePlay(tau=ConstantTau(value=1e-9), schedule=schedule)
     return Scenario(

@@ -51,7 +51,7 @@ WORDS: Mapping[str, tuple[str, str]] = MappingProxyType(
 )
 """By feature, the meaning of a positive and of a negative weight."""
 SCALES = (1.0, 1.0, 1.0, 1.0, 0.2, 1.0)
-"""The typical size of a useful weight, so that a feature in pursuers counts as much as one in [0, 1]."""
+"""The typical size of a useful weight; with it, a feature that counts pursuers matters as much as one in [0, 1]."""
 CANDIDATES, ELITE, SEEDS = 24, 4, 4
 """The candidates of a generation, those of them that shape the next one, and the runs of each."""
 GENERATIONS = 10

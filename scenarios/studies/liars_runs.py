@@ -44,8 +44,8 @@ LIES: Mapping[str, tuple[type[ByzantineFault], Mapping[str, Any]]] = MappingProx
         "silent": (Silent, {}),
     }
 )
-"""The Byzantine faults, by name. there at once: "I chase, my capture time is 0", while it stays; chases: the same with
-the true time; opposite: the contrary of its action; spoof: there at once, in the name of random teammates."""
+"""The Byzantine faults, by name. A liar "there at once" stays, and announces "I chase, my capture time is 0"; "chases"
+is the same with the true time; "opposite" the contrary of its action; "spoof" lies in the name of random teammates."""
 WORST = "there at once"
 DEFENCES: Mapping[str, Any] = MappingProxyType(
     {

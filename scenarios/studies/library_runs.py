@@ -48,7 +48,7 @@ LATELY = 50
 """The number of episodes over which the cost in training is averaged."""
 
 FRESH = 7
-"""Added to the root seed of a study, gives that of the comparison. Trainings begin with the root seed, or the next."""
+"""Root seed of the comparison minus that of the study; trainings use the root seed of the study, or the next one."""
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ SILENT = "nobody talks"
 """Name of the team without announcements, in tables and figures."""
 REFERENCE = "sap"
 LEARNED = "policy"
-"""The protocol that is left out, because it depends on its weights; the default ones make it `local_min`."""
+"""The protocol that is left out: its actions depend on its weights, and the default weights make it `local_min`."""
 
 
 @dataclass(frozen=True)

@@ -80,7 +80,7 @@ class TeamVecEnv(VecEnv):
         setattr(self.env, attr_name, value)
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        """Return the masks of pursuers, the only method that is asked for."""
+        """Return the masks of pursuers; Stable-Baselines3 calls no other method."""
         if method_name != "action_masks":
             raise AttributeError(f"a team has no method {method_name!r}")
         masks = self.action_masks()

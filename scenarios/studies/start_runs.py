@@ -50,14 +50,14 @@ class Cell:
 
 @dataclass(frozen=True)
 class Share:
-    """Which pursuers cause the cost of the latency `LONG` where few could capture in time; best response."""
+    """Which pursuers cause the cost of the latency `LONG` under best response, where few could capture in time."""
 
     utility: str
     start: Start
     late: Estimate
     """Increase of the active time of the pursuers that could not capture before the horizon at the start, s."""
     in_time: Estimate
-    """Increase of that of all others, s."""
+    """Increase of the active time of all other pursuers, s."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Extra:
 class Worth:
     """The active time that the messages of a rule save at the latency `SHOWN` of `scenarios.rivals`.
 
-    A team that announces its actions is compared with one of the same initial knowledge that is silent from then on.
+    A team that announces its actions is compared with a team that knows the same at the start and is then silent.
     """
 
     rule: str
@@ -86,7 +86,7 @@ class Worth:
     silent: Estimate
     """Active time of the silent team, s."""
     saved: Estimate
-    """Paired difference of the two per transmission of the former, s; a quotient of means."""
+    """Paired difference of the two times per transmission of the speaking team, s; a quotient of means."""
 
 
 def pursuit(team: str, protocol: object, start: Start, latency: float) -> Scenario:

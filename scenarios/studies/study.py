@@ -105,7 +105,7 @@ class NumberRange(click.FloatRange):
     """A range of numbers. It refuses nan, which is neither below nor above any bound."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Return the number that a text has."""
+        """Return the number that a text denotes."""
         number: float = super().convert(value, param, ctx)
         if isnan(number):
             self.fail("nan is not in the range", param, ctx)
@@ -134,7 +134,7 @@ def expected_time(seconds: float, runs: int, jobs: int, once: float = 0.0) -> st
         seconds: CPU time of one run of each cell, s, as measured.
         runs: number of runs per cell.
         jobs: number of worker processes; 0 = one per core.
-        once: CPU time of what does not depend on the number of runs, such as a training, s.
+        once: CPU time of the work that does not depend on the number of runs, such as a training, s.
     """
     workers = jobs or os.cpu_count() or 1
     minutes = (seconds * runs + once) / 60.0

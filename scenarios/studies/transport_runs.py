@@ -132,7 +132,7 @@ def pursuit(setting: Setting, way: str, budget: Budget | None = None) -> Scenari
     """Return the scenario of Lee & Bakolas in a setting; a way of `WITH_EQUAL_BYTES` needs the budget of `RELIABLE`."""
     if way == HEARTBEATS:
         assert budget is not None
-        # N heartbeats per period take the bytes that the announcements of changes leave.
+        # The N heartbeats of a period take the bytes of the budget that the announcements of changes do not use.
         period = N * SIZE / (budget.bytes - SIZE * budget.announcements)
         return _scenario(setting, Announcements(start=setting.start, heartbeat=period, jitter=JITTER))
     copies = round(budget.bytes / (budget.announcements * COPY)) if budget is not None else 1
@@ -210,7 +210,7 @@ def with_equal_bytes(
     label: str,
     metric: Callable[[Result], Run],
 ) -> dict[tuple[Any, str], list[Run]]:
-    """Run each way under each condition, such as a setting; those of `WITH_EQUAL_BYTES` get the bytes of `RELIABLE`."""
+    """Run each way under each condition, such as a setting; ways of `WITH_EQUAL_BYTES` get the bytes of `RELIABLE`."""
     conditions = dict.fromkeys(conditions)
     own_bytes = [(condition, way) for condition in conditions for way in ways if way not in WITH_EQUAL_BYTES]
     runs = options.measure_each(own_bytes, make, label, metric)
