@@ -107,7 +107,7 @@ class Conservation:
         self._flying[event.transmission] = event, fates
         if len(self._flying) > self._max_unchecked:
             self._settle(event.t)
-            # The limit doubles with what is in flight, so that the cost per event stays constant.
+            # The limit grows with the number of transmissions in flight, so that the cost per event stays constant.
             self._max_unchecked = MIN_BATCH + 2 * len(self._flying)
 
     def _check_order(self, event: Broadcast | Sent, fates: dict[int, int]) -> None:
