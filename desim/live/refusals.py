@@ -7,6 +7,7 @@ from desim.kernel.models.clock_skew import is_skewed
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.medium import Unlimited
 from desim.kernel.models.traits import FaultTraits
+from desim.kernel.models.transport import BestEffort
 from desim.live.wire import MAX_NODES
 from desim.pursuit.byzantine.lies import is_lie
 from desim.pursuit.core.traits import DisseminationTraits
@@ -67,6 +68,8 @@ def _of_network(scenario: Scenario) -> Iterator[tuple[str, str]]:
     for key, transport in _transports(scenario):
         if transport.needed > 1:
             yield f"{key}.needed", "the code is ideal, and no bytes are its pieces; with 1, a piece is the message"
+        if isinstance(transport, BestEffort):
+            yield key, "best_effort counts no bytes for a frame, which tell its qualities; coded with pieces = 1 does"
 
 
 def _transports(scenario: Scenario) -> Iterator[tuple[str, Any]]:

@@ -637,6 +637,7 @@ REFUSED = [
         "network.processing.sender",
         {"network": {"processing": {"sender": {"kind": "uniform", "low": 0.0, "high": 0.1}}}},
     ),
+    ("network.transport", {"network": {"transport": {"kind": "best_effort", "lifespan": 0.4}}}),
     ("network.transport.needed", {"network": {"transport": {"kind": "coded", "pieces": 4, "needed": 2}}}),
     (
         "announce.dissemination",
