@@ -37,12 +37,11 @@ from desim.kernel.core.seeds import seed_of
 from desim.kernel.core.units import nanoseconds, seconds
 from desim.kernel.fault_injection import inject
 from desim.kernel.link_layer.propagation import LinkSampler
-from desim.kernel.models.clock_skew import is_skewed
 from desim.kernel.models.links import Links
 from desim.kernel.state.network_state import NetworkState
 from desim.live.frames import Mirror, WorldFrame, frame_of, hex_digits, segment_list
 from desim.live.link import SocketLinkLayer
-from desim.live.refusals import check_live
+from desim.live.refusals import check_live, clocks_differ
 from desim.live.sockets import Datagrams, Mailbox, checked_address, family_of, resolved, udp_socket
 from desim.live.start import Address
 from desim.live.wall_clock import Lateness, WallClock
@@ -155,7 +154,7 @@ class Node:
         self._network = network
         transport: Any = DisseminationTraits.of(scenario.announce.dissemination).transport
         network.listen({} if transport is None else {ANNOUNCEMENTS: transport})
-        self.link.trusts_stamps = not is_skewed(scenario.network_faults)
+        self.link.trusts_stamps = not clocks_differ(scenario)
         if isinstance(sync := scenario.clocks.sync, TwoWay):
             synchroniser = Synchroniser(env, network, clocks, sync, seed, self.trace, nodes=[me])
             synchroniser.answered = self._wire.answered  # the datagram of an answer has the time t3, too

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from typing import Any
 
+from desim.kernel.clock_sync import TwoWay
 from desim.kernel.models.clock_skew import is_skewed
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.medium import Unlimited
@@ -40,6 +41,11 @@ def reasons(scenario: Scenario) -> Iterator[tuple[str, str]]:
             yield f"fault.{k}.memory", "a node without memory would number its messages anew; see network.transport"
 
 
+def clocks_differ(scenario: Scenario) -> bool:
+    """Return whether the clocks of pursuers may differ: by errors, or because their synchronisation corrects them."""
+    return is_skewed(scenario.network_faults) or isinstance(scenario.clocks.sync, TwoWay)
+
+
 def _of_protocol(scenario: Scenario) -> Iterator[tuple[str, str]]:
     traits = scenario.protocol_traits
     if traits.omniscient or not traits.embodied:
@@ -57,8 +63,11 @@ def _of_network(scenario: Scenario) -> Iterator[tuple[str, str]]:
     if type(links.processing.sender) is not Constant:
         yield "network.processing.sender", "a delay before the queue of a sender needs a queue; use a number"
     if DisseminationTraits.of(scenario.announce.dissemination).transport:
-        if is_skewed(scenario.network_faults):
-            yield "announce.dissemination", "with clock errors, a record and its message have two times, bytes for one"
+        if clocks_differ(scenario):
+            yield (
+                "announce.dissemination",
+                "with clock errors or corrections, a record and its message have two times, and bytes for one",
+            )
         if scenario.schedule_traits.spreads_to is not None:
             yield (
                 "announce.dissemination",

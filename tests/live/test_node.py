@@ -643,6 +643,7 @@ REFUSED = [
         "announce.dissemination",
         {"announce": {"dissemination": {"kind": "reliable"}}, "fault": [{"kind": "clock_skew", "offset": 0.1}]},
     ),
+    ("announce.dissemination", {"announce": {"dissemination": "reliable"}, "clocks": {"sync": "two_way"}}),
     *(
         (
             "announce.dissemination",
@@ -661,6 +662,15 @@ REFUSED = [
         },
     ),
 ]
+
+
+@pytest.mark.parametrize(
+    "changes", [{"fault": [{"kind": "clock_skew", "offset": 0.1}]}, {"clocks": {"sync": "two_way"}}]
+)
+def test_stamps_of_clocks_that_differ_are_not_taken_for_the_true_time(changes):
+    """Those of clocks without errors differ, too, as soon as they are corrected by latencies that are drawn."""
+    assert Node(scenario(), 1, 5).link.trusts_stamps
+    assert not Node(scenario().with_(changes), 1, 5).link.trusts_stamps
 
 
 @pytest.mark.parametrize(("key", "changes"), REFUSED)
