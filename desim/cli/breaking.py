@@ -135,7 +135,7 @@ def break_(
             else:
                 search.try_losses(losses, seeds, fates, inf if delay is None else delay)
     except ValueError as error:
-        # Without --property, a property that is wrong is one of the file.
+        # Without --property, a wrong property is in the file.
         fail(problem(error, vary="grid", **({} if text is None else {"property": "text"})))
 
 

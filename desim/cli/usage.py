@@ -101,7 +101,7 @@ def advised(
 
 
 def _context_of(words: Sequence[str], program: click.Context | None) -> click.Context | None:
-    """Return a context of the command that is typed after the name of a program, or of the program without one."""
+    """Return a context of the command that is typed after the name of a program, or else that of the program."""
     group = program and program.command
     name = next((word for word in words if isinstance(group, click.Group) and word in group.commands), None)
     if name is None or not isinstance(group, click.Group):

@@ -21,7 +21,7 @@ Draw = Callable[[np.random.Generator, Scenario], NewValues]
 SIZES = (3, 4, 5, 6, 8, 10, 12)
 """The numbers of pursuers that a search tries."""
 CHANGED = 1 / 3
-"""The share of the features in which a case differs from its parent."""
+"""The probability that a case with a parent draws a feature anew."""
 
 
 def _between(rng: np.random.Generator, low: float, high: float) -> float:
@@ -138,8 +138,8 @@ def drawn(
 ) -> Case:
     """Return a random case.
 
-    The case has each feature with probability 1/2 (Groce et al. 2012, "Swarm Testing"): many failures need the absence
-    of another feature. A case with a parent differs from it in a third of the features.
+    The case has each feature with probability 1/2 (Groce et al. 2012, "Swarm Testing"): many failures occur only
+    without some other feature. A case with a parent draws a third of the features anew, and keeps the others.
     """
     case: Case = {}
     for name, draw in features.items():

@@ -328,7 +328,7 @@ def _scenario_with(source: Source, settings: Settings) -> Scenario:
 
 
 def _source_with(source: Source, settings: Settings) -> tuple[Source, dict[str, list[Problem]]]:
-    """Return a copy of a source with some keys set and without its sweep, and the problems of other keys, by key."""
+    """Return a copy of a source with some keys set and without its sweep, and the problems of keys not set, by key."""
     changed = source.copy()
     changed.tables.pop("sweep", None)
     unset: dict[str, list[Problem]] = {}
@@ -356,8 +356,8 @@ def _with_cause(problem: Problem, affected: Sequence[Settings], source: Source, 
     """Return a problem whose reason also names the settings that cause it.
 
     `affected` holds the settings of all configurations with this problem. A setting is a cause if another value of its
-    key does not give this problem. If there is no cause, all settings of the first configuration are named. A problem
-    with a key of the grid is returned unchanged if there is at most one cause.
+    key does not give this problem. If there is no cause, all settings of the first configuration are named. If there
+    is at most one cause, a problem with a key of the grid keeps its reason.
     """
     first = affected[0].items()
     causes = {key: value for key, value in first if _is_cause([each[key] for each in affected], grid[key])}

@@ -102,9 +102,9 @@ def contour(
     share one colour scale. For the arguments see `SweepResult.plot`.
 
     Raises:
-        ValueError: if a design drew numbers of other than two keys; a grid has fewer than two keys that take several
-            numbers; a panel has fewer than three points, or all on a line; the sweep has no such metric; the size is
-            invalid; or several panels do not fit into `ax`.
+        ValueError: if a design drew numbers of one key or of more than two; a grid has fewer than two keys that take
+            several numbers; a panel has fewer than three points, or all on a line; the sweep has no such metric; the
+            size is invalid; or several panels do not fit into `ax`.
         TypeError: if `ax` is not one pair of axes of matplotlib.
     """
     keys = result.drawn_keys or swept_numbers(result)[:2]

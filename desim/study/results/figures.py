@@ -131,7 +131,7 @@ def _panels(
 
 
 def _inches(size: str | None, rows: int, columns: int, configurations: int | None) -> tuple[float, float]:
-    """Return the width and the height, inches, of a figure of a size (see `means`) with rows and columns of panels.
+    """Return the width and height, inches, of a figure with rows and columns of panels; for `size` see `means`.
 
     `configurations` is the number of configurations if each has a row of its own, else None.
     """
