@@ -273,7 +273,7 @@ def _warn_of_changes(path: Path | None, recorded: dict[str, Any], repeated: dict
 
 
 def _how_to_install(document: "Mapping[str, Any]") -> str:
-    """Return how to install the recorded versions of packages, as the end of a message; "" if these are present."""
+    """Return how to install the recorded versions of packages, as the end of a message; "" if they are installed."""
     from desim.results.environment import NUMERICS, environment
 
     present, recorded = environment()["versions"], document["versions"]

@@ -240,8 +240,8 @@ def controlled(
     """Perform a sweep, and make its means more precise by a control variate.
 
     With the same seed, a run of another protocol has the same initial positions, so its metrics explain a share of the
-    variance. Use this function if runs are slow and many configurations share a cheap control: over properties of the
-    network, all share `centralised`. It does not help paired differences: equal seeds already remove this share.
+    variance. Use this function if runs are slow and many configurations share a cheap control, such as `centralised`
+    over properties of the network. It does not help paired differences: equal seeds already remove this share.
 
         print(controlled(scenario, {"network.latency": [0.0, 0.2, 0.5]}, reps=50))
 

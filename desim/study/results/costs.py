@@ -32,7 +32,7 @@ class Saving:
 
     @classmethod
     def of(cls, differences: list[float]) -> Self:
-        """Return the saving, given the difference of each pair of runs; within `NOTHING`, they count as equal."""
+        """Return the saving, given the difference of each pair of runs; differences within `NOTHING` are equal."""
         differing = sum(abs(difference) > NOTHING for difference in differences)
         if differences and max(differences) - min(differences) <= NOTHING:
             differences = [mean(differences).mean] * len(differences)  # rounding is not a scatter of the saving

@@ -144,7 +144,7 @@ class SweepResult(TabularResult, SweepRuns, HintedAttributes):
 
         kinds = {"means": means, "phase": phase, "scatter": scatter, "contour": contour}
         of_means = {"x": x, "by": by, "against": against, "labels": labels}
-        # An option that other kinds lack selects means.
+        # An option that only the kind means has selects this kind.
         chosen = kind or ("means" if any(of_means.values()) else self.usual_kind)
         if chosen not in kinds:
             raise ValueError(f"kind should be {', '.join(list(kinds)[:-1])} or contour, got {value_text(kind)}")

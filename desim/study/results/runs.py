@@ -233,7 +233,7 @@ class SweepRuns:
 
     @property
     def compared_by(self) -> str | None:
-        """The first key for which two configurations differ in nothing else.
+        """The first key such that two configurations differ in this key only.
 
         If there is no such key: None for a design, and for a grid the first key that has several values.
         """

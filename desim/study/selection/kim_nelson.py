@@ -64,7 +64,7 @@ class Selection:
     """The system with the best mean among those that were left."""
     left: tuple[int, ...]
     """The systems that were left at the end. There are several if the largest number of samples was reached, or if all
-    margins were 0, so that the greater mean was selected."""
+    margins were 0, so that the best mean was selected."""
     dropped: tuple[Dropped, ...]
     """The other systems, in the order in which they were dropped."""
     is_decided: bool

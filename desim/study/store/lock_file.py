@@ -214,7 +214,7 @@ def _holder(path: Path, now: float) -> Holder | None:
     Opening the file makes NFS ask the server for its time. A file without a holder was just made, or its maker died.
     """
     try:
-        # Symbolic links are refused: a broken one blocks `os.link`, but to a reader it is no file to wait for.
+        # No symbolic link is followed: with a broken one, `os.link` fails and a reader finds no file, again and again.
         with open(path, "rb", opener=open_no_link) as stream:
             age, text = now - os.fstat(stream.fileno()).st_mtime, stream.read(LONGEST)
     except FileNotFoundError:
