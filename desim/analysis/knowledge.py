@@ -243,7 +243,7 @@ def _messages(result: Result, size: int, end: int) -> tuple[_Announcements, _Tra
     # (place in the trace, first record, number of records, number, number of receivers) of each transmission, flat
     transmissions: list[int] = []
     nodes: list[tuple[int, ...]] = []  # the receivers of each transmission
-    arrivals: list[Iterable[int]] = []  # ns, at these
+    arrivals: list[Iterable[int]] = []  # ns, at these receivers
     # For messages to one node: first record and number of records, by the identity of the body, which copies share.
     carried: dict[int, tuple[int, int]] = {}
     clocks, events = _Clocks(result, size), result.trace.events

@@ -145,7 +145,7 @@ def _wrong_beliefs(result: Result) -> StepChanges:
     actions, size = list(started(result).active), len(started(result).active)
     believed: dict[tuple[int, int], int] = {}
     wrong: set[tuple[int, int]] = set()
-    # The true changes have no reader.
+    # A true change has None in place of a reader.
     truths = [(change.t, None, change.pursuer, action(change), 0) for change in changes(result)]
     for t, reader, source, act, _ in heapq.merge(truths, _records(result), key=lambda row: row[0]):
         if reader is None:

@@ -251,7 +251,7 @@ def independent(values: Sequence[float] | Floats, others: Sequence[float] | Floa
     Variances are Involved", whose degrees of freedom are Satterthwaite's.
     """
     sides = (np.asarray(side, dtype=float) for side in (values, others))
-    first, second = (mean(differences(side, np.zeros(len(side)))) for side in sides)  # rounding is no scatter
+    first, second = (mean(differences(side, np.zeros(len(side)))) for side in sides)  # rounding is removed
     count = min(first.count, second.count)
     difference = first.mean - second.mean
     if count < 2:

@@ -234,7 +234,7 @@ class _Path:
         for row, step in enumerate(displacements):
             heading = np.where(lengths(step) <= noise, heading, step / np.maximum(lengths(step), SMALLEST))
             headings[row] = heading
-        durations = np.diff(self.t, append=self.t[-1] + 1) / SECOND  # after the last sample, any time but 0
+        durations = np.diff(self.t, append=self.t[-1] + 1) / SECOND  # the last duration may be any but 0
         before, _ = self._samples_around(t)
         return [Courses(displacements[row] / durations[row], headings[row]) for row in before.tolist()]
 

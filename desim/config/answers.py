@@ -56,7 +56,7 @@ def _place(model: object) -> str:
         return ""
     methods = (getattr(getattr(value, "__func__", value), "__code__", None) for value in vars(kind).values())
     codes = [code for code in methods if code is not None and code.co_name in vars(kind)]
-    codes = [code for code in codes if code.co_filename != "<string>"] or codes  # those of a dataclass are generated
+    codes = [code for code in codes if code.co_filename != "<string>"] or codes  # a dataclass generates methods
     return _place_of(min(codes, key=lambda code: code.co_firstlineno)) if codes else ""
 
 

@@ -69,7 +69,7 @@ class Wording:
             for detail in context["errors"]:
                 yield from inner.problems(detail)
             return
-        if isinstance(cause := context.get("error"), KeyedError):  # of a model that a validator constructed
+        if isinstance(cause := context.get("error"), KeyedError):  # from a model that a validator constructed
             for problem in cause.problems:
                 yield (*place, *problem.key.split(".")) if problem.key else place, problem.reason
             return

@@ -92,7 +92,7 @@ def outside_sources(function: FunctionType) -> Outside:
     """Return the names of what a function takes from outside of a run."""
     clocks, entropy, process, generators = set[str](), set[str](), set[str](), set[str]()
     cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
-    enclosing = {name: cell.cell_contents for name, cell in cells if cell != CellType()}  # an empty one has no value
+    enclosing = {name: cell.cell_contents for name, cell in cells if cell != CellType()}  # an empty cell has no value
     namespace = ChainMap(enclosing, function.__globals__)
     for use in _uses(function.__code__):
         source = _denoted(use, namespace)
@@ -100,7 +100,7 @@ def outside_sources(function: FunctionType) -> Outside:
         process |= {name for variable, name in VARIABLES if any(prefix is variable for prefix in prefixes)}
         generators |= {name for generator, name in GENERATORS if getattr(source, "__self__", None) is generator}
         try:
-            defines_hash = source is hash and function.__name__ == "__hash__"  # the usual way to write this method
+            defines_hash = source is hash and function.__name__ == "__hash__"  # `__hash__` usually calls `hash`
             process |= {PROCESS[source]} if source in PROCESS and not defines_hash else set()
             clocks |= {CLOCKS[source]} if source in CLOCKS else set()
             clocks |= {NOW[source]} if use.is_called_alone and source in NOW else set()

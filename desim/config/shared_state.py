@@ -153,7 +153,7 @@ def _cached(function: Any, snapshot: Callable[[Any], Any]) -> dict[int, Any]:
     values = [item for item in get_referents(function) if item is not vars(function) and not callable(item)]
     if function.cache_parameters()["maxsize"] is None:  # the function refers to a dict of the values
         values = [value for item in values if type(item) is dict for value in item.values()]
-    else:  # it refers to the values, and to a dict of the links of the list that keeps them in order
+    else:  # the function refers to the values, and to a dict of the links of their linked list
         values = [item for item in values if not (type(item) is dict and item and all(map(_is_link, item.values())))]
     return {id(item): snapshot(item) for item in values}
 
@@ -169,7 +169,7 @@ def _global_generators() -> dict[str, Any]:
 
 def _generator_warnings(before: Mapping[str, Any], outside: Outside) -> Iterator[str]:
     """Yield a warning if a run has drawn from global generators; `before` are their states at its beginning."""
-    is_alone = threading.active_count() == 1  # otherwise another thread may have drawn, of a cluster for instance
+    is_alone = threading.active_count() == 1  # otherwise another thread, of a cluster for instance, may have drawn
     drawn = [name for name, state in _global_generators().items() if state != before[name]]
     if drawn_from := [name for name in drawn if is_alone or name in outside.generators]:
         yield (

@@ -16,7 +16,7 @@ def write_new(files: Mapping[Path, bytes]) -> None:
         OSError: if a file cannot be written.
     """
     for path in files:
-        if path.exists() or path.is_symlink():  # a link to nothing is there, too
+        if path.exists() or path.is_symlink():  # `exists` is false for a link to nothing
             raise FileExistsError(
                 EEXIST, "exists already and is not overwritten: move it, or write elsewhere", str(path)
             )

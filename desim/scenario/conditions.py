@@ -121,7 +121,7 @@ class QuantityComparison:
         on each side of it.
         """
         most = QUANTITIES[self.quantity].most(scenario) if self.of is None else inf
-        if self.evader is not None and self.quantity != "active":  # a property of one evader, 0 or 1
+        if self.evader is not None and self.quantity != "active":  # of one evader, the quantity is 0 or 1
             most = 1.0
         least = 0.0 if self.of is None else -inf
         near = (value for value in (self.number - 1.0, self.number, self.number + 1.0) if least <= value <= most)

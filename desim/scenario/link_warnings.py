@@ -80,7 +80,7 @@ def network_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     if protocol.host is not None and protocol.period is not None and is_built_in(scenario):
         yield from _load_warnings(scenario, "protocol.period", "reports", REPORT, protocol.period, host=1)
     sensing = scenario.sensing
-    if sensing.is_noisy and not scenario.sight_is_limited and not protocol.omniscient:  # each reports all evaders
+    if sensing.is_noisy and not scenario.sight_is_limited and not protocol.omniscient:  # each pursuer reports all
         size = size_of((SIGHTED if sensing.fusion == "by_stamp" else TRACKED,) * len(scenario.evaders))
         yield from _load_warnings(scenario, "sensing.period", "reports of sightings", size, sensing.period)
 

@@ -221,7 +221,7 @@ def _stamp_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
         for skew in skews
     )
     displacement = error * max(evader.speed for evader in scenario.evaders)
-    try:  # along the line of sight of an evader that is close to its capture
+    try:  # the noise along the line of sight of an evader that is close to its capture
         deviation = sqrt(covariance_of(scenario.sensing.noise, complex(scenario.capture.radius)).xx)
     except Exception:  # noise of a user may fail for this vector, which a run may never have
         return

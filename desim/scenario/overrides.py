@@ -109,7 +109,7 @@ class Source:
         merged = replace(self, tables=_copied(base.tables), lines=lines, files=files)
         for place in merged._merge(self.tables, ()):
             for inner in [key for key in lines if key[: len(place)] == place]:
-                del lines[inner]  # a line of the base, whose value is replaced
+                del lines[inner]  # the base's line of a value that is replaced
         for place, line in (self.lines or {}).items():
             lines[place] = line
             files.pop(place, None)
@@ -227,7 +227,7 @@ class Source:
             raise ScenarioError(f"{name} is not a key of a table")
         if key == "kind" and node.get("kind") != value:
             self._remove_misfits(place, value)
-        node[key] = _copied(value)  # a later override may change what is in it
+        node[key] = _copied(value)  # a later override may change tables in the value
         self.origins.pop((*place, key), None)  # moves the key to the end: the last override counts
         self.origins[*place, key] = origin
 
@@ -241,7 +241,7 @@ class Source:
         for marker in reversed(markers_of(info)) if info else ():  # pydantic applies the last marker first
             if isinstance(marker, OneOf):
                 value = marker.as_table(value)
-            elif isinstance(marker, BeforeValidator) and isinstance(value, str):  # of a property or a design
+            elif isinstance(marker, BeforeValidator) and isinstance(value, str):  # that of a property or a design
                 read: Any = marker.func
                 table = read(value)
                 value = table if isinstance(table, dict) else value

@@ -50,7 +50,7 @@ class KeyRange:
         low, high = (self.low, self.high + 1.0) if self.is_whole else (self.low, self.high)
         number = exp(log(low) + share * (log(high) - log(low))) if self.is_log else low + share * (high - low)
         if self.is_whole:  # each number is as probable as another
-            return min(max(floor(number), int(self.low)), int(self.high))  # log(low) is rounded
+            return min(max(floor(number), int(self.low)), int(self.high))  # logarithms are rounded
         if share in (0.0, 1.0):
             return high if share else low
         return min(max(rounded(number), low), high)

@@ -117,7 +117,7 @@ class Playground:
                         "warnings": [f"{key}: {why}" for key, why in warnings(scenario)],
                     }
                 )
-        except ScenarioError as error:  # of the pinned run, which the address of the page may name
+        except ScenarioError as error:  # the address of the page may name a wrong pinned run
             return json_answer(shown | {"errors": {"": f"The pinned run is not valid, so unpin it: {error}"}})
         except (Exception, TimedOut) as error:
             return json_answer(shown | {"errors": {"": _reason(error)}})

@@ -276,7 +276,7 @@ def _boxes_beside(anchor: Floats, width: float, height: float) -> list[Floats]:
     lefts = (x + HALF_MARKER + 0.5, x - width / 2.0, x - width - HALF_MARKER - 0.5)
     bottoms = (y + HALF_MARKER - 0.5, y - height / 2.0, y - height - HALF_MARKER + 0.5)
     corners = list(product(lefts, bottoms))
-    del corners[4]  # on the point
+    del corners[4]  # the box on the point itself
     return [np.array([left, bottom, left + width, bottom + height]) for left, bottom in corners]
 
 
