@@ -81,7 +81,7 @@ class Logs:
         return [*(event for _, _, event in rows), *_sum(end, self.transports), counts, ended]
 
     def _transmissions(self, end: int, sizes: list[int]) -> Iterator[Iterator[Event]]:
-        """Yield the events of each transmission and of its copies, in order, and append its bytes to `sizes`."""
+        """Yield the events of each transmission and of its copies, in order; append the bytes of each to `sizes`."""
         last_read = self._last_read()
         numbers = count()
         for src, sent in sorted(self._departures, key=lambda row: (row[1].t, row[0])):
