@@ -24,8 +24,8 @@ class Conduct:
         timers: how late each timer of all processes was, ns.
         deliveries: how much later than its time each message was delivered, ns.
         orders: how long after its decision each change of an action has taken effect, ns.
-        cpu: by process, the pursuers and "referee", the processor time of the run, s. That of the referee is of all
-            runs at the same time, up to the merging of their traces.
+        cpu: by process, the pursuers and "referee", the processor time of the run, s. That of the referee includes all
+            runs at the same time, but not the merging of their traces.
         drops: by pursuer, the datagrams that it has dropped.
         ends: by pursuer whose process was lost, how it ended.
         notes: sentences about what went wrong.

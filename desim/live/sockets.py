@@ -99,7 +99,7 @@ class Datagrams:
     def _read(self) -> None:
         try:
             datagram, sender = self._socket.recvfrom(LARGEST)
-        except OSError:  # no datagram after all, or one that was sent reached no socket, after a crash
+        except OSError:  # no datagram after all, or an earlier one was sent to a node that has crashed
             return
         self._take(datagram, sender[:2])
 

@@ -12,9 +12,9 @@ All numbers are big-endian. Integers have a sign, and booleans are 0 or 1. A rec
 own. The set bit with which a header begins distinguishes it from the numbers of the list before it. If items of a list
 may be missing, the upper 16 bits of a number hold the place of its item.
 
-A frame carries the time of the message that it repeats. Its session is always 0 in a live run. The 4 bytes of the
-session therefore hold the delay from this time to the transmission, to which the receiver adds the latency. The delay
-counts modulo 2^32 us, 71 min (`CYCLE`), and the attempt modulo 256.
+A frame carries the time of the message that it repeats. The session of a frame is always 0 in a live run: its 4 bytes
+hold the delay from this time to the transmission, to which the receiver adds the latency. The delay counts modulo
+2^32 us, 71 min (`CYCLE`), and the attempt modulo 256.
 
 Bodies of users have no such layout (`desim.live.own_bodies`). Nothing of a datagram is executed: it names an entry of
 the tables below, or is malformed.
