@@ -173,7 +173,7 @@ def sensitivity(
     """Find which keys decide a metric: the share of its variance that each key with a range causes.
 
     The keys are those of `sweep.grid` and -g, each with a range LOW:HIGH or log:LOW:HIGH, or with a list of values.
-    Keys without effect are screened out first (Morris 1991); the others have Sobol indices. Resumes.
+    Keys without effect are screened out first (Morris 1991); the others have Sobol indices. The same command resumes.
     """
     from desim.study.sensitivity.analysis import Analysis
 

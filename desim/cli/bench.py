@@ -38,9 +38,9 @@ def bench(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Score protocols between the bounds of ten scenarios, beside all built-in ones. Resumes.
+    """Score protocols between the bounds of ten scenarios, beside all built-in ones.
 
-    Without --protocol and --again it prints the table of the version.
+    Without --protocol and --again, print the table of the version. The same command resumes.
     """
     from desim.study.comparing.bench import bench as compared
     from desim.study.comparing.bench import frozen_matches

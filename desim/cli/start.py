@@ -20,7 +20,7 @@ from desim.scenario.templates import TEMPLATES, starting_files
 def examples(name: str | None, target: Path) -> None:
     """List the example scenarios, or copy the one called NAME, with the files that it names, to FILE or into DIR.
 
-    Without FILE or DIR it is copied to the working directory. Nothing is overwritten.
+    Without FILE or DIR, the example is copied to the working directory. Nothing is overwritten.
     """
     from desim.scenario.examples import copy_example, first_sentence
     from desim.scenario.examples import examples as all_examples

@@ -154,7 +154,7 @@ def drawn(
 
 
 def applied(scenario: Scenario, case: Mapping[str, NewValues]) -> Scenario:
-    """Return a scenario with the changes of a case; its own faults stay.
+    """Return a scenario with the changes of a case; the faults of the scenario stay.
 
     Raises:
         ScenarioError: if the result would not be valid.

@@ -156,7 +156,7 @@ def check_grid(source: Source) -> None:
 
 
 def checked_ranges(source: Source, grid: SweepGrid) -> SweepGrid:
-    """Return a grid whose ranges know whether they are of whole numbers.
+    """Return a grid in which `is_whole` of a range says whether its key takes whole numbers only.
 
     Raises:
         ScenarioError: if a key does not take an end of its range, or a table comes after a key that it contains.

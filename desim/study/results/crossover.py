@@ -36,7 +36,7 @@ ROUNDING = 1e-12
 
 @dataclass(frozen=True)
 class Crossover:
-    """The value of a key from which on one of two curves lies below the other."""
+    """The value of a key from which one of two curves lies below the other."""
 
     metric: str
     key: str

@@ -1,6 +1,6 @@
 """A race: runs of several configurations, one after the other, until the best is known with a given confidence.
 
-Run k of all configurations has the same seed, so that effects of chance on all of them alike cancel. The runs that
+Run k of all configurations has the same seed, so that effects of chance that they share cancel. The runs that
 decide are the same with any number of workers: several workers perform the next runs ahead, and runs that turn out not
 to be needed only remain in the store.
 """
@@ -72,8 +72,8 @@ def race(
         zone: the indifference zone: the smallest difference of means that matters, in the unit of the metric. The
             number of runs grows with 1 / zone^2, or with 1 / zone where means differ by much more; if in doubt, take a
             tenth of the mean.
-        confidence: the probability with which the best is found if it is better than every other by `zone`; between 1/k
-            for k configurations and 1.
+        confidence: the probability with which the best is found if it is better than every other by `zone`; in (1/k, 1)
+            for k configurations.
         maximise: whether the greatest mean is the best; None = as the metric says (`desim metrics`).
         first: the number of first runs of each configuration, at least 2, from which variances are estimated; if in
             doubt, 20.

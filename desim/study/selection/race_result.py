@@ -84,7 +84,7 @@ class RaceResult(TabularResult):
         return [best, *left, *(loser.system for loser in dropped)]
 
     def mean_of(self, system: int) -> Estimate:
-        """Return the mean of the metric over the runs of a configuration, or the share for which it is true."""
+        """Return the mean of the metric over the runs of a configuration, or the share in which it is true."""
         return (share if self.is_of_truths else mean)(self.selection.samples[system])
 
     def behind(self, system: int) -> Estimate:

@@ -105,7 +105,7 @@ class _Missing:
 
 MISSING = _Missing()
 KINDS: Mapping[type, int] = MappingProxyType({type(None): NONE, bool: BOOL, int: INT, float: FLOAT, _Missing: ABSENT})
-"""The codes of the types that are no OBJECT; `bool` precedes `int`, of which it is a subclass."""
+"""The codes of the types that are not stored as OBJECT; `bool` precedes `int`, of which it is a subclass."""
 
 
 class Column:
