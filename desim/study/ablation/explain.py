@@ -153,7 +153,7 @@ def _cost(
     absent: tuple[str, ...],
     confidence: float,
 ) -> Cost:
-    """Return the cost of each imperfection in a metric, over the seeds for which all variants have a value.
+    """Return the cost of each imperfection in a metric, over the seeds with a value in all variants except the bounds.
 
     The bounds of the network are over the seeds for which both bounds have a value: without messages there may be no
     capture, and so no capture time. `confidence` is the level of the interval that decides whether the imperfections
