@@ -1,7 +1,7 @@
 """Shell completion of keys, kinds of protocols and names of examples, without slow imports.
 
-A shell runs the program on every press of Tab, so the keys are kept in the cache folder of the user after their first
-use, until the source or an installed kind changes.
+A shell runs the program on every press of Tab. The keys are therefore kept in the cache folder of the user after their
+first use, until the source or an installed kind changes.
 """
 
 import os

@@ -83,8 +83,8 @@ def configurations(
 
     Raises:
         ScenarioError: if keys or values are invalid (the message lists them), there are no or too many configurations,
-            two are the same or have the same name, an object in one has no stable hash, or the grid has ranges and no
-            design, or a design and no ranges.
+            two of them are the same or have the same name, an object has no stable hash, or the grid has ranges without
+            a design, or a design without ranges.
     """
     source, sweep = sweep_of(source, grid, design)
     grid = checked_ranges(source, sweep.grid)

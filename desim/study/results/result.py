@@ -176,8 +176,8 @@ class SweepResult(TabularResult, SweepRuns, HintedAttributes):
 
             print(swept.table(["active_time"], format="latex"))
 
-        The reference of a difference is the configuration that has the first value of the first key with several values
-        and is otherwise equal, or that has the values `against`. Independent seeds have no table of differences.
+        The reference of a difference has the values `against`, or the first value of the first key with several values,
+        and is otherwise equal. Independent seeds have no table of differences.
 
         Args:
             metrics: the names of the metrics.

@@ -5,7 +5,7 @@ section 3.
 
 After `first` samples of each system, the procedure adds one sample of each remaining system at a time. A system is
 dropped as soon as, after r samples, its mean is below that of another by more than
-W(r) = max(0, zone / (2 r) (h^2 S^2 / zone^2 - r)), where S^2 is the variance of the differences of the two in the first
+W(r) = max(0, zone / (2 r) (h^2 S^2 / zone^2 - r)). S^2 is the variance of the differences of the two in the first
 samples. The constant c of the paper is 1, its recommendation.
 
 If samples are normal, and independent from one replication to the next, and the best mean is better than every other by
