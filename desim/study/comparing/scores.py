@@ -1,7 +1,7 @@
 """The scores of a benchmark, between the bounds of each scenario, with their intervals.
 
 P and Z are the costs of the reference protocol with a perfect network and without messages. A and Q are the costs of a
-protocol on the network of the scenario and on a perfect one. All runs have the same seed. With means over the seeds,
+protocol on the network of the scenario and on a perfect one. All four have equal seeds. With means over the seeds,
 
     score = (Z - A) / (Z - P),    quality = (Z - Q) / (Z - P),    loss = quality - score = (A - Q) / (Z - P).
 
