@@ -85,7 +85,7 @@ def knowledge(result: Result) -> Pieces:
 
 @dataclass(frozen=True, slots=True)
 class _Announcements:
-    """The columns of a table of all records sent; one row per record and transmission."""
+    """The columns of a table of all records sent; messages to one node share the rows of a common body."""
 
     source: Integers
     rank: Integers

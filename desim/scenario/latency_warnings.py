@@ -42,7 +42,7 @@ def latency_warnings(scenarios: Collection[Scenario]) -> Iterator[tuple[str, str
 
 
 def _mean_latencies(scenario: Scenario) -> Iterator[tuple[str, float]]:
-    """Yield the key and the mean (s) of each latency of the network whose mean is known; of edges, the longest."""
+    """Yield the key and the mean (s) of each latency with a known mean in the network; of edges, the longest."""
     network = scenario.network
     models = {"network.latency": network.latency}
     models |= {f"network.link.{k}.latency": link.latency for k, link in enumerate(network.link) if link.latency}

@@ -99,4 +99,4 @@ MetricName = Annotated[
     PlainSerializer(lambda metric: metric.given, return_type=str),
     WithJsonSchema({"type": "string"}),
 ]
-"""A metric that a scenario file names as "module:name", or by the name of an installed metric."""
+"""A metric that a scenario names: a function, or a text of a form of `NamedMetric.given`."""
