@@ -53,9 +53,9 @@ PIECE = np.dtype(
 FIRST, LAST = -1, int(np.iinfo(np.int64).max)
 """Positions in the trace before and after all events."""
 DELIVERED = -1
-"""In place of the number of a transmission, for a message that a transport has delivered: no `Lost` refers to it."""
+"""Stands for the number of a transmission in the row of a delivery by a transport, to which no `Lost` refers."""
 ROUNDING = 100
-"""Error of a time computed from a stamp, ns: a stamp is rounded to 1 ns, for which the slowest clock takes 100 ns."""
+"""Error of a time computed from a stamp, ns: a stamp is rounded to 1 ns, and the slowest clock takes 100 ns for it."""
 ROWS = 1 << 12
 """Number of rows of a batch, so few that numpy reuses the memory of the temporary arrays."""
 
@@ -89,7 +89,7 @@ class _Announcements:
 
     source: Integers
     rank: Integers
-    """The rank of the sequence number among those of the table and 0, which has the rank 1."""
+    """The rank of the sequence number among all numbers of the table and 0; the rank of 0 is 1."""
     created: Integers
     active: Integers
     """The evader that the source chases, or 0; -1 if the record has no action."""

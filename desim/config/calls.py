@@ -43,7 +43,7 @@ def check_call(function: Callable[..., Any], takes: Sequence[str], value: Any, *
 
 
 def own_signature(function: Callable[..., Any]) -> Signature:
-    """Return the arguments that a function takes itself, which may be fewer than those of the function that it wraps.
+    """Return the arguments that a function takes itself; a function that it wraps may take more.
 
     A function without a signature, such as one of `functools.cache`, takes the arguments of what it wraps.
 

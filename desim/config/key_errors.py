@@ -43,7 +43,7 @@ class Wording:
     """How the errors of a table are put into sentences."""
 
     tables: Any
-    """The table with all tables in it."""
+    """The table, with all its inner tables."""
     whole: type[BaseModel]
     """The model of the table."""
     written: Callable[[Any], str] = repr

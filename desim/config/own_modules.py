@@ -29,7 +29,7 @@ _FOLDER = re.compile(r"@[^.]*")
 
 
 class CodeName(str):
-    """A name "module:name" whose module is looked up in another folder than that of the file that is read.
+    """A name "module:name" whose module is looked up in another folder than that of the file.
 
     Args:
         text: the name.

@@ -24,8 +24,8 @@ from desim.config.traits import module_of
 class StateWarning(UserWarning):
     """Warns that a run depends on something outside of it, so that another run may give other results.
 
-    This is state that an earlier run has left in a class, a function, a module or a collection, the clock of the
-    computer, random numbers without a seed, or variables of the process.
+    It depends on state that an earlier run has left in a class, a function, a module or a collection; on the clock of
+    the computer; on random numbers without a seed; or on variables of the process.
     """
 
 

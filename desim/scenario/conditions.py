@@ -75,7 +75,7 @@ COMPARISONS: Mapping[str, Callable[[Any, Any], bool]] = MappingProxyType(
     {"<=": le, ">=": ge, "==": eq, "!=": ne, "<": lt, ">": gt}
 )
 JUST_BELOW_0 = nextafter(0.0, -inf)
-"""The margin of "<" and ">" between equal numbers: not 0, because a comparison holds if its margin is at least 0."""
+"""The margin of "<", ">" and "!=" between equal numbers; not 0, because a margin of 0 means that a comparison holds."""
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _COMPARISON = re.compile(
     rf"(?P<negation>not\s+)?(?P<quantity>[A-Za-z_][\w.]*(?::\w+)?)(?:\[(?P<evader>\d+)\])?"

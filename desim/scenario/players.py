@@ -63,7 +63,7 @@ class Team(Value):
     ] = Speeds()
     """Speeds, m/s: one number, one per pursuer, or a table { default, last }."""
     active_at_start: Probability = 1.0
-    """Probability p0 that a pursuer is active at the start, in [0, 1]; one that may not chase (`prune`) is inactive."""
+    """Probability p0 that a pursuer is active at the start, in [0, 1]; one that may not chase (`prune`) never is."""
     guidance: Annotated[
         Guidance,
         OneOf(
@@ -238,8 +238,8 @@ class Evader(Value):
     If in doubt, use 0; persons and animals take 0.1 to 0.3.
     """
     motion_interval: Time = 0.0
-    """Time between two looks from which it infers which pursuers chase, s; 0: it knows their actions, at any distance.
-    A pursuer counts as active if it seems to have moved by more than half of what its speed allows.
+    """Time between two looks from which the evader infers which pursuers chase, s; 0: it knows their actions at any
+    distance. A pursuer counts as active if it seems to have moved by more than half of what its speed allows.
 
     In a short interval, errors of the positions look like motion; after a long one, the evader learns late who chases.
 

@@ -87,8 +87,8 @@ class Motion(Value):
     step: Period = 0.01
     """Motion step h, the time between two headings, s.
 
-    The time of a run grows with 1/h. With long steps, players react late to each other, and an evader flees in the
-    wrong direction for a whole step.
+    The computing time of a run grows with 1/h. With long steps, players react late to each other, and an evader flees
+    in the wrong direction for a whole step.
 
     If in doubt, use at most a fifth of the time in which the fastest player covers the capture radius.
     """

@@ -97,8 +97,8 @@ class Design(Value):
     seed: Annotated[int, Field(ge=0, strict=True)] = 0
     """Seed of the points; the seeds of runs do not depend on it."""
     drawn: tuple[str, ...] = ()
-    """Keys of the grid with a list whose values are drawn, too, each with the same probability; every point is combined
-    with all values of the other lists."""
+    """Keys of the grid whose listed values are drawn, too, with equal probabilities; every point is combined with all
+    values of the other lists."""
 
     @property
     def is_balanced(self) -> bool:

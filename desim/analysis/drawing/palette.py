@@ -30,7 +30,7 @@ ON_DARK = {
     **{"#000000": "#e6e9ec", "#ffffff": "#14181e", "#555555": "#aab2ba", "#333333": "#c8ced4"},
     **{BLUE: "#3388ff", LOST: "#ff5a67"},
 }
-"""By each colour of figures that is illegible on a dark page: the colour with the same meaning there."""
+"""By colour of figures that is illegible on a dark page: the colour with the same meaning on a dark page."""
 
 PURSUER_MARK = "o"
 EVADER_MARK = "D"

@@ -27,7 +27,7 @@ from desim.view.pages.replay_columns import ReplayData, Ticks, packed_column, ra
 TURN = 256
 """Number of units of an angle in a full turn."""
 MAX_LENGTH = 2**30
-"""The greatest position and semi-axis of an estimate that is stored; greater ones are off the plane."""
+"""The greatest stored position and semi-axis of an estimate; greater ones are off the plane, and are cut to it."""
 FLOW_POINTS, FLOW_TIMES = 12, 60
 """Number of intervals along the longer side of the grid on which a flow is shown, and number of times."""
 FLOW_MARGIN = 1.0

@@ -53,7 +53,7 @@ WIDTH, HEIGHT = 4.8, 5.4
 PAD = 0.1
 """Margin around the figure, inches."""
 DPI = 100
-"""Dots per inch of a frame of this size, and of a size that the user gives as a length."""
+"""Dots per inch of a frame of the usual size, or of a size that the user gives as a length."""
 MAX_FRAMES = 1500
 """Maximum number of frames; each takes 0.4 MB of memory in a GIF of the usual size."""
 MAX_PIXELS = 1_000_000_000
