@@ -29,8 +29,8 @@ from desim.pursuit.paths.space import PLANE, Plane, Walled
 class EvaderController:
     """The perception and the decisions of one evader in one run.
 
-    Pure evasion with full and immediate perception is computed from the state, without an observation. The heading is
-    kept equal to that of the strategy, given an observation, by
+    Pure evasion with full and immediate perception is computed from the state, without an observation. Kept equal to an
+    observation for the strategy by
     `tests/pursuit/test_perception.py::test_full_and_immediate_perception_gives_exactly_the_heading_of_the_strategy`.
 
     Args:
