@@ -179,7 +179,7 @@ class Policy(Rule):
             scores = [0.0] * len(options)
             blocks = _Blocks(me)
             if self.outputs > 1:
-                values = scores_of([read(blocks, 0) for read in inputs])  # 0: no evader's chase is scored alone
+                values = scores_of([read(blocks, 0) for read in inputs])  # 0: no name has an evader in question
                 scores = [values[action] for action in options]
             else:
                 for k, evader in enumerate(options[1:], start=1):

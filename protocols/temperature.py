@@ -91,7 +91,7 @@ class GeometricTau(Value):
 
     def __call__(self, eta: float) -> float:
         """Return 1/tau, 1/s."""
-        exponent = min(-eta * log(self.ratio), log(self.first / self.floor))  # the second one stands for the floor
+        exponent = min(-eta * log(self.ratio), log(self.first / self.floor))  # the second one is that of the floor
         return exp(exponent) / self.first
 
 

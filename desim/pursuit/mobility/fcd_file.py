@@ -39,7 +39,7 @@ class FcdFile(MobilityFile):
     def __init__(self, file: Path, text: str):
         self._places = defaultdict[str, list[_Place]](list)
         step_time = ""
-        parser = ParserCreate("utf-8")  # whatever encoding it declares: the text has been decoded
+        parser = ParserCreate("utf-8")  # not in the declared encoding: the text has been decoded
 
         def start(name: str, attributes: dict[str, str]) -> None:
             nonlocal step_time

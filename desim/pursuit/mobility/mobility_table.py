@@ -41,7 +41,7 @@ NO_UNIT = "utc|gmt|date|iso ?8601"
 def header_in(lines: Sequence[str]) -> tuple[int, str, Header] | None:
     """Return the line of a header, from 0, the delimiter of its table ("": white space), and the header.
 
-    A header may be a comment, as numpy writes it. Return None if the first line is no header.
+    The header is a comment, as numpy writes it, or the first line that is no comment. Return None if neither is one.
     """
     for number, line in enumerate(lines):
         text = line.strip()
@@ -55,8 +55,8 @@ def header_in(lines: Sequence[str]) -> tuple[int, str, Header] | None:
         if count >= (3 if is_comment else 2):
             return number, delimiter, header
         if not is_comment:
-            # `MobilityTable` refuses a header without the columns, and lists those that it has.
-            is_bonnmotion = len(text.split()) > 2 and all(map(NUMBER.fullmatch, text.split()))  # its reader refuses it
+            # A line with commas or semicolons may be a header that lacks columns: `MobilityTable` names those it has.
+            is_bonnmotion = len(text.split()) > 2 and all(map(NUMBER.fullmatch, text.split()))  # refused by its reader
             return (number, delimiter, header) if delimiter in {",", ";"} and not is_bonnmotion else None
     return None
 
@@ -176,7 +176,7 @@ class MobilityTable(MobilityFile):
                 raise ValueError(f"{self.file}: column {name!r} is in {unit}, and should be in m; {hint}")
 
     def _check_nodes_have_tracks(self) -> None:
-        """Raise ValueError if each row has another node and another time: the column of nodes then counts the rows."""
+        """Raise ValueError if each row has another node, and times differ: the column of nodes may count the rows."""
         is_single = len(self._rows) > 1 and all(len(rows) == 1 for rows in self._rows.values())
         if is_single and len({self._time(rows[0]) for rows in self._rows.values()}) > 1:
             name = self._header.names[self._columns["node"] or 0]

@@ -344,7 +344,7 @@ class Beliefs(Knowledge):
         for j, record in records.items():
             cached, ordered = reckonings.get(j), orders.get(j)
             if ordered and len(ordered) == 1 and not ordered[0][1] and not record.body.active:
-                ordered = None  # an order to be inactive changes nothing
+                ordered = None  # an order to be inactive changes nothing for an inactive teammate
             if cached and cached[0] is record and (cached[1] is None or cached[1] == instant) and not ordered:
                 motions[j] = cached[2]
             elif isinstance(record.body, Located):
