@@ -25,7 +25,7 @@ class Conduct:
         deliveries: how much later than its time each message was delivered, ns.
         orders: how long after its decision each change of an action has taken effect, ns.
         cpu: by process, the pursuers and "referee", the processor time of the run, s. That of the referee includes all
-            runs at the same time, but not the merging of their traces.
+            runs at the same time, until the trace of this run is merged.
         drops: by pursuer, the datagrams that it has dropped.
         ends: by pursuer whose process was lost, how it ended.
         notes: sentences about what went wrong.
