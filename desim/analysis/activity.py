@@ -48,7 +48,7 @@ class EvaderPursuit:
     steps: list[tuple[int, int, int]]
     """(time (ns), pursuer, 1 or -1) for each change: 1 if the pursuer joined, -1 if it left."""
     end: int
-    """Time, ns, of the capture of the evader, or of the end of the run if it was not captured."""
+    """Time, ns, of the capture of the evader, or of the end of the run if there was no capture."""
 
 
 @remembered

@@ -61,7 +61,7 @@ def _place(model: object) -> str:
 
 
 def _place_of(code: Any) -> str:
-    """Return the file, relative to the working directory if it is below it, and the line of a function."""
+    """Return the file of a function, relative to the working directory if the file is below that, and the line."""
     file = Path(code.co_filename)
     is_below = file.is_absolute() and file.is_relative_to(Path.cwd())
     return f"{os.path.relpath(file) if is_below else file}, line {code.co_firstlineno}"

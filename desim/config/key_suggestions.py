@@ -72,7 +72,7 @@ def suggestion(word: str, allowed: Sequence[str]) -> str:
 
 
 def _similar(word: str, allowed: Sequence[str]) -> list[str]:
-    """Return the allowed words to suggest for an invalid one, mostly one; an empty list if none is similar."""
+    """Return the allowed words to suggest for an invalid word, mostly a single one; empty if none is similar."""
     plain = spelled_as_key(word)
     initials = "".join(part[0] for part in plain.split("_") if part)  # spatial_adaptive_play is sap
     meant = [WORDS_FOR_KEYS.get(plain, plain), *WORDS_FOR_KINDS.get(plain, ()), initials]

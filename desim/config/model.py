@@ -206,7 +206,7 @@ class Value(BaseModel, metaclass=_ValueType):
         deep inside a scenario use `Scenario.with_`.
 
         Args:
-            update: the new values by field; a table replaces a whole table, it is not merged.
+            update: the new values by field; a table replaces a whole table and is not merged.
             deep: whether values that are not updated are copied deeply.
 
         Raises:

@@ -122,7 +122,7 @@ class _Finder:
 
 
 class _Loader(SourceFileLoader):
-    """Loads a module whose imports of modules beside the file find those of the same folder."""
+    """Loads a module such that its imports find the modules beside its file."""
 
     def get_code(self, fullname: str) -> CodeType:
         """Return the code; it is not cached, because other programs import the file under its plain name."""

@@ -205,7 +205,7 @@ def is_passed_on(value: Any, name: str) -> bool:
 
 
 def check_inherited_flag(value: Any, flag: str, methods: Iterable[str], effect: str) -> None:
-    """Raise ValueError if methods of a user's class are never called, because it inherits or passes on a set flag.
+    """Raise ValueError if methods of a user's class are never called, because the class inherits or passes on a flag.
 
     Args:
         value: the model.

@@ -98,7 +98,7 @@ class QuantityComparison:
     """The function of a user; None for one of `QUANTITIES`."""
 
     def holds(self, value: float) -> bool:
-        """Return whether a value of the quantity satisfies it."""
+        """Return whether a value of the quantity satisfies the comparison."""
         return COMPARISONS[self.sign](value, self.number)
 
     def margin(self, value: float) -> float:
@@ -147,7 +147,7 @@ def _condition(value: Any, info: ValidationInfo) -> Condition:
     """Return the condition that a text states.
 
     Raises:
-        ValueError: if it is no condition, or names a quantity that does not exist or code that is not trusted.
+        ValueError: if the text is no condition, or names a quantity that does not exist or code that is not trusted.
     """
     if isinstance(value, Condition):
         return value

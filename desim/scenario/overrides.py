@@ -63,7 +63,7 @@ class Source:
     def where(self, place: KeyPath) -> str:
         """Return the place where a key was set: `file:line`, or the description of the last override.
 
-        For a key without override in a source without lines, it is the name of the source.
+        In a source without lines, the place of a key without an override is the name of the source.
         """
         origin, line = self._set_at(place)
         return f"{origin}:{line}" if line else origin

@@ -43,7 +43,7 @@ class Team(Value):
     """The pursuers: number, initial positions, speeds, initial actions and guidance."""
 
     count: Annotated[int, Field(ge=1, le=1_000_000, strict=True)] = 20
-    """Number of pursuers N; with `positions`, it must be their number or be absent."""
+    """Number of pursuers N; with `positions`, it must be the number of positions, or be absent."""
     positions: (
         Annotated[
             Annotated[tuple[Point, ...], FirstError(), Tag("list")] | Annotated[RecordedPositions, Tag("table")],

@@ -103,7 +103,7 @@ class Property(Value):
         return self.bound - measure if reference is None else self.bound + reference - measure
 
     def can_fail(self, scenario: AnyScenario) -> bool:
-        """Return whether a run of a scenario might violate it."""
+        """Return whether a run of a scenario might violate the property."""
         raise NotImplementedError
 
     @property
@@ -292,7 +292,7 @@ def as_table(text: Any) -> Any:
     """Return the table that the text of a property stands for; return any other value unchanged.
 
     Raises:
-        ValueError: if it is not the text of a property.
+        ValueError: if the text is not that of a property.
     """
     if not isinstance(text, str):
         return text
@@ -330,7 +330,7 @@ def property_of(value: Any, *, folder: Any = None) -> Property:
         folder: the folder in which modules are looked up.
 
     Raises:
-        ValueError: if it is not the text or the table of a property.
+        ValueError: if the value is not the text or the table of a property.
     """
     if value is None or isinstance(value, int | float):
         raise ValueError(f"a property should be a text, such as 'idle at most 2 in total' (got {value_text(value)})")

@@ -24,7 +24,7 @@ def tables_of(text: str) -> dict[str, Any]:
 def key_lines(text: str) -> dict[KeyPath, int]:
     """Return the line on which each key of a valid TOML text is first set or occurs in a table header.
 
-    For a key within a statement of several lines, it is the first line of the statement.
+    A key within a statement of several lines has the first line of the statement.
     """
     lines: dict[KeyPath, int] = {}
     lengths: dict[KeyPath, int] = {}  # number of tables so far, by array of tables

@@ -68,7 +68,7 @@ class Playground:
         """Return the scenario with changes and with the recordings that a replay needs.
 
         Raises:
-            ScenarioError: if it is not valid.
+            ScenarioError: if the scenario is not valid.
         """
         return with_recordings(validate(self.changed(changes)))
 
@@ -76,8 +76,8 @@ class Playground:
         """Run the scenario with changes, or return the result of an earlier equal call if it is still kept (`KEPT`).
 
         Raises:
-            ScenarioError: if it is not valid.
-            TimedOut: if it takes longer than the time limit.
+            ScenarioError: if the scenario is not valid.
+            TimedOut: if the run takes longer than the time limit.
         """
         return _result(_Request(cloudpickle.dumps((self, tuple(changes))), self, changes))
 
