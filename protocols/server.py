@@ -13,8 +13,8 @@ Prediction: if a round trip lasts m periods, the reports do not yet show the eff
     that ignored these decisions would assume that a pursuer just ordered to chase is still inactive, and its orders
     would oscillate for ever. The server therefore extrapolates each pursuer's last report, using the orders sent since.
     It assumes that each order, the present one included, takes effect after a delay L, which is `me.latency` plus an
-    airtime. The time until the present order takes effect is lost for a pursuer that does not chase the evader; except
-    in a static world, this lost time is added to its capture time phi. With constant latency and no loss the server
+    airtime. A pursuer that does not chase the evader loses the time until the present order takes effect. This lost
+    time is added to its capture time phi, except in a static world. With constant latency and no loss the server
     acts as an omniscient planner whose orders are delayed by L. At L = 0 it acts as the centralised benchmark, deciding
     at the instants of the reports.
 Assumes: links in both directions between the host and every other pursuer, and without `takeover` no crashes. While

@@ -286,8 +286,8 @@ class Starts(NamedTuple):
 class RelayNode(Value):
     """A pursuer that never chases: it moves along a record, and relays messages.
 
-    It forwards announcements if `announce.dissemination` or `sensing.relay` says so. Its speed counts as 0. Like any
-    pursuer, it captures an evader that comes within the capture radius. A crash does not stop its motion.
+    It forwards announcements if `announce.dissemination` or `sensing.relay` says so. Its speed as a chaser is 0. Like
+    any pursuer, it captures an evader that comes within the capture radius. A crash does not stop its motion.
     """
 
     pursuer: Node

@@ -5,10 +5,10 @@ phi_ij be the capture time of pursuer i for evader j, and r the time left. The g
 
     Phi = sum over the chased evaders j of (r - mean of phi_ij over the pursuers that chase j).
 
-With one evader it is U_E(S) = r - mean of phi_i over the set S of active pursuers, and U_E(empty) = 0. Each pursuer
-maximises its wonderful-life utility, its marginal contribution to the term of its evader, for which Phi is an exact
-potential (Lee & Bakolas, "Relay Pursuit of an Evader by a Heterogeneous Group of Pursuers Using Potential Games"). A
-pursuer with phi_ij = inf never counts among those that chase j.
+With one evader Phi is U_E(S) = r - mean of phi_i over the set S of active pursuers, and U_E(empty) = 0. Each pursuer
+maximises its wonderful-life utility: its marginal contribution to the term of its evader. Phi is an exact potential of
+these utilities (Lee & Bakolas, "Relay Pursuit of an Evader by a Heterogeneous Group of Pursuers Using Potential
+Games"). A pursuer with phi_ij = inf never counts among those that chase j.
 
 If the capture times are distinct, every equilibrium is a matching: if several pursuers chase one evader, the one with
 the greatest capture time gains by becoming inactive. There are often many equilibria; the optimal profile, a

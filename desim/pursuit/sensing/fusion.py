@@ -55,11 +55,11 @@ def fused(tracks: Sequence[InformedTrack], how: Fusion) -> Track:
     """Return the fusion of tracks of the same time, one by one.
 
     naive: the inverse covariances are added, as if the errors were independent; information that several tracks
-    contain counts several times. covariance_intersection: two inverse covariances are averaged with the weight
-    w = det(P2) / (det(P1) + det(P2)), which is consistent whatever the correlation of the errors (Julier & Uhlmann
-    1997). This is the fast weight of Niehsen (2002) with determinants in place of traces: traces add m^2 and (m/s)^2,
-    and determinants do not depend on units and axes. The weight that minimises the determinant of the fused covariance
-    would give a slightly lower one, but jumps from one track to another of equal covariance.
+    contain counts several times. covariance_intersection: two inverse covariances are averaged with the weights
+    w = det(P2) / (det(P1) + det(P2)) and 1 - w. The average is consistent whatever the correlation of the errors
+    (Julier & Uhlmann 1997). w is the fast weight of Niehsen (2002) with determinants in place of traces: traces add m^2
+    and (m/s)^2, and determinants do not depend on units and axes. The weight that minimises the determinant of the
+    fused covariance would give a slightly lower one, but jumps from one track to another of equal covariance.
 
     Kept equal to corrections of the first track by
     `tests/pursuit/test_tracking.py::test_tracks_that_are_fused_by_information_are_those_that_are_corrected`.

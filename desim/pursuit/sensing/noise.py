@@ -57,9 +57,9 @@ class PositionNoise(Value):
 class RangeBearingNoise(Value):
     """The range and the bearing have independent normal errors, as with a radar, a sonar or a camera with depth.
 
-    A measured range and bearing are converted to a vector without bias: a bearing whose error has the deviation s
-    shortens the mean vector by e^(-s^2/2), so each vector is lengthened by e^(s^2/2) (Mo, Song, Zhou, Sun & Bar-Shalom
-    1998, "Unbiased Converted Measurements for Tracking").
+    A measured range and bearing are converted to a vector without bias. A bearing whose error has the deviation s
+    shortens the mean vector by the factor e^(-s^2/2), so each vector is multiplied by e^(s^2/2) (Mo, Song, Zhou, Sun &
+    Bar-Shalom 1998, "Unbiased Converted Measurements for Tracking").
     """
 
     kind: Literal["range_bearing"] = "range_bearing"

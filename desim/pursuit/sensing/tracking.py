@@ -192,8 +192,8 @@ class AlphaBeta(_Diffusing):
 class Kalman(_Diffusing):
     """The Kalman filter (Kalman 1960).
 
-    After the first sighting each component of the velocity is unknown: 0, with a standard deviation of 10 m/s or, if
-    greater, the speed of the evader over ground, which includes the top speed of a bounded flow that carries it.
+    After the first sighting each component of the velocity is 0, with a standard deviation of 10 m/s or, if greater,
+    the speed of the evader over ground. This speed includes the top speed of a bounded flow that carries the evader.
     """
 
     kind: Literal["kalman"] = "kalman"
