@@ -289,8 +289,8 @@ class Announcements(Value):
     """Time for which an announcement is believed after its arrival, s; "auto" is 3 * heartbeat + 2 * (typical
     latency + airtime of an announcement), or inf without heartbeats. It is longer if a duty cycle or the slots of a
     TDMA keep a pursuer from sending every heartbeat. "affordable": as "auto", but no longer than the receiver can wait
-    and still capture in time; if this time is short, with one heartbeat instead of three. So a slow
-    pursuer takes the place of a crashed one before it is too late. At worst, it chases beside a pursuer that is up.
+    and still capture in time, and at least "auto" with one heartbeat in place of three. So a slow pursuer takes the
+    place of a crashed one before it is too late. At worst, it chases beside a pursuer that is up.
 
     If in doubt, use auto; use affordable if pursuers may crash and hardly any other pursuer could be in time.
     """
