@@ -138,7 +138,7 @@ def control_variate(
 
 
 def _slopes(y: Floats, x: Floats) -> tuple[Floats, float, float]:
-    """Return the slope of a regression without each run in turn, that of all runs, and its R^2, of centred values.
+    """Return, for centred values, the slope of a regression without each run in turn, that of all runs, and its R^2.
 
     Without run i, the slope is b - x_i e_i / (S (1 - h_i)), with the residual e_i, S = sum x^2 and the leverage
     h_i = 1/n + x_i^2 / S (Cook & Weisberg 1982, "Residuals and Influence in Regression", section 2.2). If the control

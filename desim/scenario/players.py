@@ -224,7 +224,7 @@ class Evader(Value):
     speed: Speed = 0.9
     """Speed v_e, m/s.
 
-    An evader as fast as a pursuer can flee from it for ever, and close to that speed captures take long.
+    An evader as fast as a pursuer can flee from it for ever, and captures of nearly as fast evaders take long.
 
     If in doubt, use nine tenths of the speed of the slowest pursuer.
     """

@@ -69,7 +69,7 @@ class Capture(Value):
     radius: Length = 0.1
     """Capture radius eps, m.
 
-    Pursuers of limited acceleration or turn rate may circle around an evader with a small radius for ever, see
+    If the radius is small, pursuers of limited acceleration or turn rate may circle around an evader for ever, see
     `desim.pursuit.motion.turning.least_capture_radius`.
 
     If in doubt, use 0.1 for speeds of about 1 m/s.

@@ -228,7 +228,7 @@ def brief(scenario: Scenario, folder: Path | None = None, **texts: Any) -> str:
     Args:
         scenario: the scenario.
         folder: the folder in which the code that it names is looked up; None: no code is looked up.
-        texts: values of keys that replace those of the scenario.
+        texts: other forms of the values of some keys, such as properties as texts.
     """
     tables = _differing(scenario.model_dump(exclude_none=True), Scenario().model_dump(exclude_none=True))
     if scenario.fault:
