@@ -3,6 +3,7 @@
 import re
 import shutil
 import subprocess
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -423,6 +424,15 @@ def test_processing_delays_are_added_and_edges_of_the_graph_count_as_links():
         "wlan0-1-2 root netem delay 130ms loss random 50%",
         "wlan0-2-1 root netem delay 130ms loss random 50%",
     ]
+
+
+def test_a_latency_of_a_user_with_a_kind_of_iproute2_has_a_table_of_its_own():
+    class Normal(Lognormal):
+        kind: Literal["normal"] = "normal"
+
+    commands = script(Links(latency=Normal(mean=0.05, cv=0.5)), 2)
+    assert "distribution desim-normal" in "\n".join(commands.lines)
+    assert [*commands.tables] == ["desim-normal"]
 
 
 def test_tables_of_one_kind_with_different_numbers_have_different_names():

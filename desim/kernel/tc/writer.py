@@ -90,7 +90,7 @@ class _Writer:
         self.missing: list[tuple[str, str]] = []
 
     def command(self, device: str, place: str, latency: Any, loss: Any, order: str) -> str:
-        """Return the command for a device; `place` stands before the keys of the models in messages.
+        """Return the command for a device; `place` precedes the keys of the models in `missing`.
 
         Raises:
             ValueError: if the name of the device is invalid.
@@ -101,7 +101,8 @@ class _Writer:
             )
         delay, rate = self._delay(f"{place}latency", latency), _rate(self._medium)
         netem_order = order_of(reorders="reorder" in delay, has_rate=bool(rate))
-        if len(delay) > 2 and order != netem_order:  # with equal delays, no packet overtakes another
+        # More words than `delay TIME`: delays vary, so that packets may overtake each other.
+        if len(delay) > 2 and order != netem_order:
             effect = "keeps the order of packets" if netem_order == "fifo" else "lets packets overtake each other"
             self.missing.append((f"{place}order", f"netem {effect} here, see its rate and reorder"))
         losses = self._words(f"{place}loss", "loss", _loss(loss))
@@ -149,20 +150,24 @@ class _Writer:
     def _name(self, kind: str, numbers: tuple[int, ...]) -> str:
         """Return the name of a table; it begins with "desim-" unless it is one of iproute2."""
         stem = f"desim-{re.sub('[^A-Za-z0-9_]+', '-', kind)}"
-        names = [kind] if kind in TABLES else [stem, *(f"{stem}-{k}" for k in range(2, len(self.tables) + 2))]
+        is_of_iproute2 = kind in TABLES and TABLES[kind]() == numbers  # a latency of a user may have such a kind, too
+        names = [kind] if is_of_iproute2 else [stem, *(f"{stem}-{k}" for k in range(2, len(self.tables) + 2))]
         name = next(name for name in names if self.tables.get(name, numbers) == numbers)
         self.tables[name] = numbers
         return name
 
     def _words(self, key: str, option: str, values: Words | None) -> Words:
-        """Return an option with its values; no words if `values` is empty, or None because netem has no such model."""
+        """Return an option with its values, or no words without values.
+
+        None as the values means that netem has no such model, and adds the key to `missing`.
+        """
         if values is None:
             self.missing.append((key, "netem has no such model"))
         return [option, *values] if values else []
 
 
 def _random(model: Any) -> Words | None:
-    """Return the probability and the correlation of a loss model that draws random numbers; None for any other."""
+    """Return the values of netem's `random`, a probability and a correlation; None for a model of another form."""
     if is_as_built(model, Bernoulli):
         return [share_word(model.p)] if model.p else []
     if is_as_built(model, Correlated):
