@@ -28,7 +28,7 @@ class _Talking:
 
     @property
     def rows(self) -> dict[Any, int]:
-        """The row of each agent in messages and ages."""
+        """The row of each agent in the arrays of messages and of ages in an observation."""
         return self._messages.row.copy()
 
     def action_space(self, agent: Hashable) -> Space[Any]:

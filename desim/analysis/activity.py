@@ -152,7 +152,8 @@ def active_time(result: Result) -> float:
 def idle_time(result: Result) -> float:
     """Return the time, s, without an active pursuer, summed over the evaders: int sum_j 1{n_j = 0} dt.
 
-    Active time - excess time + idle time is the time for which an evader is at large, summed over the evaders.
+    Active time minus excess time plus idle time is the time for which an evader is at large, summed over the evaders:
+    n_j - max(n_j - 1, 0) + 1{n_j = 0} = 1.
     """
     return _integral(pressure(result), lambda counts: counts == 0)
 

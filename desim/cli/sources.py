@@ -22,7 +22,7 @@ def source_of(
     design: str | None = None,
     folder: Path | None = None,
 ) -> "tuple[Source, Scenario]":
-    """Return the source of a scenario file and its scenario, with the values of --metric, --grid and --design.
+    """Return the tables of a scenario file with the values of --metric, --grid and --design, and the scenario of them.
 
     Modules and files that the scenario names are looked up in `folder`; None: the folder of `file`. Print warnings, and
     end the program if the scenario is invalid; see `valid`.
@@ -87,7 +87,7 @@ def _instead_of(file: Path) -> str:
         return f"; an example: `desim examples {file.stem}` writes {file.stem}.toml, which then can be run"
     beside = [path.name for path in file.parent.glob("*.toml")] if file.parent.is_dir() else []
     if file.parent.is_dir() and file.suffix != ".toml":
-        # A name without a suffix is that of a folder.
+        # A name without a suffix is taken for that of a folder, and one with a suffix for that of a file.
         beside += [path.name for path in file.parent.iterdir() if path.is_dir() != bool(file.suffix)]
     return did_you_mean(file.name, beside) or did_you_mean(file.stem, beside)
 

@@ -1,6 +1,7 @@
 """The packages `protocols` and `scenarios`, installed beside `desim`: their folders, and a check that none is hidden.
 
-A package or module of the same name that comes earlier in `sys.path`, for example beside a script, hides a package.
+Functions of higher packages that `desim.scenario` and `desim.config` call are here, too. A package or module of the same name that comes earlier
+in `sys.path`, for example beside a script, hides a package.
 """
 
 import sys
@@ -15,13 +16,13 @@ PACKAGES = ("protocols", "scenarios")
 ENVIRONMENTS: dict[str, Callable[..., Any]] = {}
 """By name, the functions that make environments for learners.
 
-`desim` hands them in, because environments are in a package above the one of scenarios."""
+`desim` hands them in: `desim.scenario` calls them, and may not import the package above it that defines them."""
 MARGINS: dict[str, Callable[[Any, str], float]] = {}
-"""By name, the function that returns the margin of a property of a run, given the name of the property.
+"""The function, by its name, that returns how far a run is from violating a property, given the name of the property.
 
-`desim` hands it in, because runs are judged in a package above the one of scenarios."""
+`desim` hands it in: `desim.scenario` calls it, and may not import the package above it that defines it."""
 KINDS_OF: dict[str, Callable[[], Mapping[str, Mapping[str, str]]]] = {}
-"""By package, the function that returns its kinds, "module:name" by group and kind.
+"""By package, a function that returns its kinds: for each group, "module:name" by kind.
 
 `desim` hands them in, because the packages with kinds are above this one."""
 

@@ -106,7 +106,7 @@ class Synchroniser:
 
     Attributes:
         answered: t3 of each answer on its way, ns, by the clock of the reference; the key is the answer, because a
-            request that is transmitted twice has two answers.
+            request that the network duplicates has two answers.
     """
 
     def __init__(
@@ -169,7 +169,7 @@ class Synchroniser:
     def _use(self, node: int, sent: int, received: int, answered: int) -> None:
         """Measure the offset of the reference from t1, t2 and t3; correct the clock by the mean of enough offsets."""
         clock, offsets = self._clocks[node], self._offsets[node]
-        # t1 and t4 are read without the correction, so that offsets measured before and after one can be averaged.
+        # t1 and t4 are read without the correction, because the clock may be corrected between them.
         offsets.append((received - sent + answered - clock.uncorrected) // 2)
         if len(offsets) < self._model.exchanges:
             return

@@ -28,9 +28,9 @@ def env(
 ) -> "AECPursuit":
     """Return an environment of PettingZoo in which one pursuer at a time decides (AEC).
 
-    Use it to train a rule, or to play one by hand. The run is that of `desim.run`, except that the caller chooses the
-    actions. `agent_selection` is the pursuer whose turn comes next under the schedule of the scenario. A pursuer
-    observes what its agent knows, and nothing else.
+    Use it to train a rule, or to choose the actions by hand. The run is that of `desim.run`, except that the caller
+    chooses the actions. `agent_selection` is the pursuer whose turn comes next under the schedule of the scenario. A
+    pursuer observes what its agent knows, and nothing else.
 
     Args:
         scenario: the experiment, or the path of its file; None = that of Lee & Bakolas. Its protocol has to be a rule,

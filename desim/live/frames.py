@@ -11,7 +11,7 @@ from desim.pursuit.motion.inertia import InertialKinematics
 from desim.pursuit.sensing.world_state import WorldState
 
 NUMBERS = "<c16"
-"""The bytes of complex numbers in a frame."""
+"""The numpy type of the complex numbers in a frame, little-endian on every machine."""
 
 
 class WorldFrame(NamedTuple):
@@ -28,7 +28,7 @@ class WorldFrame(NamedTuple):
     drifts: str | None
     """Velocities of the flow, m/s; None: there is none."""
     courses: list[str] | None
-    """Velocities and headings of players with inertia; None: they have none."""
+    """Velocities and headings of all players; None: players have no inertia."""
     profile: list[int]
     """Actions of the pursuers."""
     obeyed: list[int]
@@ -63,8 +63,8 @@ def frame_of(state: WorldState, obeyed: list[int]) -> WorldFrame:
 class Mirror:
     """The state of the world in the process of a pursuer, which follows the frames of the referee.
 
-    Between two frames all players go on as they were commanded. The action of the pursuer itself is its own: the
-    referee learns of it later.
+    Between two frames all players go on as they were commanded. While an order of the pursuer is on its way to the
+    referee, its action is the one that it ordered, not that of the frame.
 
     Args:
         state: the state of the world, which is kept up to date.

@@ -29,7 +29,7 @@ from desim.simulation.watchdog import TimedOut, checked_limit, within
 from desim.testing.pursuits import watched
 
 CHANCE = 5.7e-7
-"""The probability of a false alarm about a mean or a share: that of 5 standard errors of many draws."""
+"""The probability of a false alarm about a mean or a share: that a normal variable is 5 deviations off."""
 DISTANCE = 2.7
 """Scaled Kolmogorov-Smirnov distance of two samples of one distribution: exceeded 1 time in a million by chance."""
 SEED = 7
@@ -81,7 +81,7 @@ class Subject(NamedTuple):
 
     @contextmanager
     def judged(self, where: str, limit: float = 10.0) -> Iterator[None]:
-        """Turn every error of a block into one about the model, and compare the global random generators.
+        """Turn every error of a block into one about the model; it may not change the global random generators.
 
         Args:
             where: the call or the situation of the block.
@@ -212,9 +212,10 @@ def is_off(sample: NDArray[Any], mean: float, tolerance: float) -> bool:
 
 
 def are_more(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> bool:
-    """Return whether one of two samples, (n,) pairs of independent truth values, is true more often than the other.
+    """Return whether one of two samples of (n,) truth values, paired by index, is true more often than the other.
 
-    This is the exact test of McNemar 1947: without a difference, the first sample is true in half of the unequal pairs.
+    The pairs are independent of each other. This is the exact test of McNemar 1947: without a difference, the first
+    sample is true in half of the unequal pairs.
     """
     from scipy.special import bdtr
 

@@ -42,7 +42,7 @@ class Environment(Value):
 
     @property
     def relative_speed(self) -> float:
-        """Upper bound of the speed at which the flow moves players relative to each other, m/s."""
+        """Upper bound of the speed at which the flow moves a pursuer relative to an evader, m/s."""
         if self.keeps_distances:
             return 0.0
         return self.top_speed * (1.0 if self.on == "pursuers" else 2.0)
@@ -76,8 +76,8 @@ class Environment(Value):
     def drifts(self, places: Points, commands: Points, begin: int, duration: float) -> Points:
         """Return the (k,) mean velocities of the flow, m/s, along the paths of players within a motion step.
 
-        With them, straight motion over ground ends where the player ends: exactly in a uniform flow, else with the
-        error of one step of the Runge-Kutta method of order 4.
+        A player that moves straight at its command plus this mean ends the step where its true path ends: exactly in a
+        uniform flow, else with the error of one step of the Runge-Kutta method of order 4.
 
         Args:
             places: (k,) positions at the start, m.
@@ -103,9 +103,9 @@ class Environment(Value):
     def drift_within(self, place: complex, command: complex, begun: int, now: int, until: int) -> complex:
         """Return the mean velocity of the flow, m/s, along the path of one player in the rest of a motion step.
 
-        If the flow is the same everywhere and varies in time, this is the mean of the whole step, because the player
-        has drifted at this mean velocity until now. So its position at the end of the step is exact, and a flow that
-        carries all players changes no distance, whenever a player turns.
+        In a uniform flow that varies in time, a player drifts at the mean of the whole step from its start on. The rest
+        of the step uses the same mean, so that the position at its end is exact, and a flow that carries all players
+        changes no distance, whenever a player turns.
 
         Args:
             place: its position now, m.

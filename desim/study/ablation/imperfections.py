@@ -165,7 +165,7 @@ def without_sensing_limit(scenario: Scenario) -> Scenario:
 
 
 def _unlimited(sensing: Sensing) -> Sensing:
-    """Return sensing at any distance, which no wall blocks, with the defaults for evaders out of sight."""
+    """Return sensing that neither distance nor walls limit; of its settings, only those of noisy sightings are kept."""
     kept_keys = ("noise", "interval", "estimator", "fusion", "period", "relay", "estimate")
     return Sensing() if not sensing.is_noisy else Sensing(**{key: dict(sensing)[key] for key in kept_keys})
 
@@ -254,7 +254,7 @@ PERFECT_NETWORK = (
     without_range,
     without_walls("radio"),
 )
-"""The removals that make everything arrive at once. Under contention, `without_latency` would keep the airtime."""
+"""The removals that make everything arrive at once; contention first, or `without_latency` keeps the airtime."""
 
 
 def with_perfect_network(scenario: Scenario) -> Scenario:

@@ -47,11 +47,11 @@ class LossTable:
         unit: the unit of margins.
         fatal: the choices that violate the property, the smallest first.
         runs: the number of runs.
-        skipped: how often a choice was not extended by a message that has no effect in the run of the choice; with
-            most = 1, this is the number of choices that were not run.
+        skipped: how often a message was not added to a choice, because its fate would change nothing in the run of the
+            choice; with most = 1, this is the number of choices that were not run.
         symmetric: the number of choices that were not run, because another choice has the same run.
         messages: by seed, the number of messages in the undisturbed run.
-        broken: the seeds with which the property is violated without any choice.
+        broken: the seeds with which the property is violated already in the undisturbed run.
     """
 
     most: int

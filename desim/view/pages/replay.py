@@ -109,7 +109,7 @@ def replay_page(result: Result, ghost: Result | None = None, *, on_part: Callabl
 
 
 def _has_shadows(data: ReplayData) -> bool:
-    """Return whether the page can show where radio does not reach: walls shorten the common range, or block radio."""
+    """Return whether the page can draw shadows of radio: reception is known, and walls shorten or block it."""
     reception, factors = data["reception"], [wall["factor"] for wall in data["walls"] or ()]
     is_shortened = reception["radius"] is not None and any(factor != 1.0 for factor in factors)
     return reception["known"] and (is_shortened or None in factors)
