@@ -1,7 +1,7 @@
 """The packages `protocols` and `scenarios`, installed beside `desim`: their folders, and a check that none is hidden.
 
-Functions of higher packages that `desim.scenario` and `desim.config` call are here, too. A package or module of the same name that comes earlier
-in `sys.path`, for example beside a script, hides a package.
+Functions of higher packages that `desim.scenario` and `desim.config` call are here, too. A package or module of the
+same name that comes earlier in `sys.path`, for example beside a script, hides a package.
 """
 
 import sys

@@ -1,6 +1,6 @@
 """Steering: the velocities of all players, set at each motion step and when an action changes within a step.
 
-The velocities of a team computed at once or one by one are kept equal by
+Kept equal to a team led at once by
 `tests/pursuit/test_kinematics.py::test_pursuers_led_one_by_one_run_as_a_team_led_at_once`.
 """
 
