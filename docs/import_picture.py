@@ -103,10 +103,13 @@ def picture(rooms: "nx.DiGraph[str]") -> str:
     for row in reversed(_rows(packages)):
         columns = {package: _rooms_of(rooms, package) for package in row}
         height = 12 + LINE * max([1, *(len(column) for each in columns.values() for column in each)])
-        width = (WIDTH - 2 * MARGIN - 16 * (len(row) - 1)) / len(row)
-        for k, package in enumerate(sorted(row)):
-            boxes[package] = (MARGIN + k * (width + 16), top, width, height)
+        needed = {package: LABEL + (ROOM[0] + GAP) * len(column) for package, column in columns.items()}
+        spare = (WIDTH - 2 * MARGIN - 16 * (len(row) - 1) - sum(needed.values())) / len(row)
+        left = float(MARGIN)
+        for package in sorted(row):
+            boxes[package] = (left, top, needed[package] + spare, height)
             drawn += _package(package, columns[package], rooms, boxes[package])
+            left += needed[package] + spare + 16
         top += height + 22
     arrows = "".join(_between(boxes[here], boxes[there]) for here, there in nx.transitive_reduction(packages).edges)
     return (
@@ -153,8 +156,9 @@ def _between(upper: tuple[float, float, float, float], lower: tuple[float, float
         x = (max(upper[0], lower[0]) + min(upper[0] + upper[2], lower[0] + lower[2])) / 2
         line = f"M{x:g},{below:g} V{end:g}"
     else:
-        right, aside = lower[0] + lower[2], WIDTH - MARGIN / 2
+        start, aside = upper[0] + upper[2] - 20, WIDTH - MARGIN / 2
+        between_rows = below + 11  # the space below the row, so that no box is crossed
         line = (
-            f"M{upper[0] + upper[2]:g},{upper[1] + upper[3] / 2:g} H{aside:g} V{lower[1] + lower[3] / 2:g} H{right:g}"
+            f"M{start:g},{below:g} V{between_rows:g} H{aside:g} V{lower[1] + lower[3] / 2:g} H{lower[0] + lower[2]:g}"
         )
     return f'<path class="between" marker-end="url(#thick)" d="{line}"/>'
