@@ -87,6 +87,21 @@ def test_players_that_are_observed_go_on_as_those_observed(limit):
     assert mirror.velocity(1) == pytest.approx(players.velocity(1), abs=1e-9)
 
 
+@pytest.mark.parametrize("dynamics", [None, Acceleration(limit=1.0), TurnRate(limit=0.7)])
+@pytest.mark.parametrize("is_cached", [False, True])
+def test_distances_within_a_step_are_those_of_the_positions(dynamics, is_cached):
+    env, start = Clock(), np.array([0j, 3.0 + 1j, -2.0 + 4j])
+    headings = np.ones(3, dtype=complex)
+    players = Kinematics(env, start) if dynamics is None else InertialKinematics(env, start, [dynamics] * 3, headings)
+    players.command(np.array([1j, -1.0 + 0j, -1j]))
+    env.run(until=SECOND // 3)
+    expected = [abs(players.position(0) - players.position(other)) for other in (1, 2)]
+    if is_cached:
+        players.positions()
+    assert players.distances(0, [1, 2]) == pytest.approx(expected, rel=1e-14)
+    assert expected != pytest.approx([abs(start[0] - start[1]), abs(start[0] - start[2])], rel=1e-3)
+
+
 def test_players_of_a_static_game_stay_and_positions_are_read_only():
     env, places = Clock(), np.array([1j, 2j])
     players = Kinematics(env, places, static=True)

@@ -1,6 +1,6 @@
 """Kinematics of players with inertia, whose paths consist of curves and straight lines."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from math import inf, sqrt
 
 import numpy as np
@@ -57,6 +57,11 @@ class InertialKinematics(Kinematics):
         if self._cached_at == self._env.now:
             return self._positions.item(player)
         return self._pieces[player].at(self._elapsed)
+
+    def distances(self, player: int, others: Iterable[int]) -> list[float]:
+        """Return the present distances of other players from one player, m."""
+        origin = self.position(player)
+        return [abs(origin - self.position(other)) for other in others]
 
     def positions_of(self, players: Sequence[int] | NDArray[np.intp]) -> Points:
         """Return the (k,) positions of some players now, m."""
