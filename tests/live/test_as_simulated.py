@@ -107,6 +107,8 @@ def any_scenario(seed):
         "evader": [{"speed": 1.0} for _ in range(rng.choice([1, 1, 2]))],
         "clocks": {"sync": rng.choice([{"kind": "none"}, {"kind": "two_way", "interval": 0.07, "exchanges": 3}])},
     }
+    if changes["announce"]["dissemination"]["kind"] == "reliable":  # is refused with corrected clocks
+        changes["clocks"] = {}
     faults = [
         {"kind": "crash", "start": 0.5011, "end": 1.2013, "node": rng.randrange(size)},
         {"kind": "crash", "start": 0.4017, "end": 0.9019, "node": rng.randrange(size), "memory": False},

@@ -172,7 +172,7 @@ for name, figure in figures.pictures(20, 0):
 def test_the_study_writes_its_figures_and_its_numbers_and_another_process_the_same_bytes(tmp_path, study, monkeypatch):
     monkeypatch.setattr(figures, "COUNTS", (20,))
     monkeypatch.setattr(figures, "DELTAS", DELTAS)
-    monkeypatch.setattr(figures, "PRINT", 50)
+    monkeypatch.setattr(figures, "PRINT_DPI", 50)
     document, text, _ = study(figures.main)
     assert [cell["panel"] for cell in document["cells"]] == ["centralised", *(f"delta = {each:g} s" for each in DELTAS)]
     for cell, scenario in [*zip(document["cells"], figures.panels(20).values(), strict=True)][1:2]:
