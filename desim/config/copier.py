@@ -19,7 +19,7 @@ from weakref import WeakKeyDictionary, WeakValueDictionary
 import numpy as np
 
 from desim.config.code_variables import CACHED, is_foreign
-from desim.config.stateless import CONSTANTS, is_collection, is_stateless, is_stateless_module, users_objects
+from desim.config.stateless import CONSTANTS, is_collection, is_output, is_stateless, is_stateless_module, users_objects
 from desim.config.traits import module_of
 
 FUNCTION_STATE = ("__kwdefaults__", "__module__", "__qualname__", "__doc__")
@@ -66,7 +66,7 @@ class Copier(pickle.Pickler):
         elif is_stateless_module(module_of(kind)):  # a built-in model, for example, if it holds no state of users
             if not all(is_stateless(item, with_collections=self._with_collections) for _, item in users_objects(value)):
                 return None
-        elif not is_stateless(value, with_collections=self._with_collections):
+        elif not is_output(value) and not is_stateless(value, with_collections=self._with_collections):
             return None
         self.shared.append(value)
         return len(self.shared) - 1

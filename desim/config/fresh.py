@@ -44,7 +44,7 @@ def fresh_copy(model: Model, *, with_collections: bool = False, is_run: bool = F
         is_run: whether the block is a run.
 
     Raises:
-        StateError: if an object cannot be copied, such as a generator or an open file; the text names its key.
+        StateError: if an object cannot be copied, such as a generator; the text names its key.
     """
     users = dict(users_objects(model))
     if not users:  # most models hold no objects of users
@@ -52,32 +52,35 @@ def fresh_copy(model: Model, *, with_collections: bool = False, is_run: bool = F
         return
     copied, shared, functions = model, [], []
     if not all(is_stateless(value, with_collections=with_collections) for value in users.values()):
-        copier, content = _written(model, users, with_collections=with_collections)
-        reader = CopyReader(content, copier.shared)
-        copied, shared, functions = reader.load(), copier.shared, copier.functions
+        copied, copier = _copied(model, users, with_collections=with_collections)
+        shared, functions = copier.shared, copier.functions
     watch = shared_changes if is_run else followed_changes
     with watch([*shared, *functions, *users.values()], _snapshot):
         yield copied
 
 
-def _written(model: Any, users: Mapping[str, Any], *, with_collections: bool) -> "tuple[Copier, BytesIO]":
-    """Return a copier that has written a model, and what it has written; see `fresh_copy`."""
-    content = BytesIO()
-    copier = Copier(content, with_collections=with_collections)
+def _copied(model: Any, users: Mapping[str, Any], *, with_collections: bool) -> tuple[Any, Copier]:
+    """Return a copy of a model, and the copier that has made it; see `fresh_copy`."""
     try:
-        copier.dump(model)
+        return _copy(model, with_collections=with_collections)
     except Exception as error:  # code of an object may raise anything
         if with_collections:  # perhaps a collection of the caller cannot be copied; then it is shared
-            return _written(model, users, with_collections=False)
+            return _copied(model, users, with_collections=False)
         raise _refusal(users, error) from error
-    return copier, content
+
+
+def _copy(value: Any, *, with_collections: bool = False) -> tuple[Any, Copier]:
+    content = BytesIO()
+    copier = Copier(content, with_collections=with_collections)
+    copier.dump(value)
+    return CopyReader(content, copier.shared).load(), copier
 
 
 def _refusal(users: Mapping[str, Any], error: Exception) -> StateError:
     """Return the error for a model that cannot be copied, with the key of the first object that cannot."""
     for key, value in users.items():
         try:
-            Copier(BytesIO()).dump(value)
+            _copy(value)
         except Exception as reason:
             return StateError(
                 f"{key}: {name_of(value)} may remember something, so each run calls a copy of it, but it cannot be"

@@ -1,7 +1,13 @@
 """Which objects have no state, so that a run uses them as they are; see `desim.config.fresh`."""
 
+import csv
+import re
+import sys
 from collections.abc import Iterator
 from functools import lru_cache
+from io import BytesIO, IOBase, StringIO
+from os import SEEK_END
+from struct import Struct
 from types import BuiltinFunctionType, CellType, CodeType, FunctionType, ModuleType, NoneType
 from typing import Any, Literal
 
@@ -14,9 +20,30 @@ from desim.config.traits import OURS, module_of
 
 CONSTANTS = ATOMS | {complex, bytes}
 """The types of values that hold nothing else and never change."""
-NEVER_CHANGED = OURS | {"networkx", "pathlib", "threading", "_thread", "queue", "_queue"}
+NEVER_CHANGED = OURS | {"networkx", "pathlib", "threading", "_thread", "queue", "_queue", "_contextvars"}
 """The packages and modules whose objects a copy shares: they do not change while a model holds them, or connect
 threads, such as locks."""
+
+UNCOPIED = (Struct, re.Match)
+"""Types whose objects never change, and which pickle cannot copy."""
+CSV_WRITER = type(csv.writer(StringIO()))
+
+
+def is_output(value: Any) -> bool:
+    """Return whether an object is a stream to which code only writes, such as a log file: it reports to the caller.
+
+    A buffer in memory is one while its position is at its end, also if it is empty; otherwise code reads it.
+    """
+    if value is sys.stdout or value is sys.stderr or type(value) is CSV_WRITER:
+        return True
+    if not isinstance(value, IOBase) or value.closed or not value.writable():
+        return False
+    if not isinstance(value, BytesIO | StringIO):
+        return not value.readable()
+    position = value.tell()
+    end = value.seek(0, SEEK_END)
+    value.seek(position)
+    return position == end
 
 
 def is_stateless_module(name: str) -> bool:
@@ -68,7 +95,7 @@ def is_stateless(value: Any, *, with_collections: bool = False) -> bool:
         )
     if kind is BuiltinFunctionType:
         return isinstance(value.__self__, ModuleType | NoneType)
-    return kind in CONSTANTS or isinstance(value, type | ModuleType | CodeType)
+    return kind in CONSTANTS or isinstance(value, (type, ModuleType, CodeType, *UNCOPIED))
 
 
 def _is_constant(value: Any) -> bool:

@@ -1,17 +1,22 @@
 """Fresh copies: what a run may remember is copied at its start, in every field of every model that holds an object."""
 
+import csv
 import functools
 import importlib
+import io
 import itertools
+import os
 import pkgutil
 import queue
 import random
 import re
+import struct
 import sys
 import threading
 import weakref
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextvars import ContextVar
+from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import ClassVar
 from warnings import catch_warnings, simplefilter
@@ -243,12 +248,99 @@ def generator():
     "held", [generator(), itertools.count(), itertools.cycle([1]), open], ids=lambda held: type(held).__name__
 )
 def test_an_object_that_cannot_be_copied_is_refused_with_its_key(held, tmp_path):
-    opened = held(tmp_path / "log", "w") if held is open else held
+    (tmp_path / "table").write_text("1\n")
+    opened = held(tmp_path / "table") if held is open else held
     scenario = Scenario(evader=Evader(strategy=lambda state, rng: next(opened)))
     with pytest.raises(StateError, match=r"^evader.strategy: <lambda> may remember something.*cannot pickle"):
         run(scenario)
     if held is open:
         opened.close()
+
+
+class Created:
+    """An object that pickle writes, and cannot create again, because its class needs an argument."""
+
+    def __new__(cls, number):
+        return super().__new__(cls)
+
+    def __call__(self, state, rng):
+        return 1j
+
+
+def test_an_object_whose_copy_cannot_be_created_is_refused_with_its_key():
+    with pytest.raises(StateError, match=r"^evader.strategy: Created may remember something.*missing 1 required"):
+        run(brief(Created(1)))
+
+
+OUTPUTS = {
+    "a text": io.StringIO,
+    "bytes": io.BytesIO,
+    "a file": functools.partial(Path(os.devnull).open, "w"),
+    "a binary file": functools.partial(Path(os.devnull).open, "wb"),
+    "stdout": lambda: sys.stdout,
+    "csv": lambda: csv.writer(io.StringIO()),
+}
+
+
+def written_by(stream, how):
+    """Return a strategy that writes to a stream, which it has as a variable, a default, an attribute or an argument."""
+
+    def write(stream):
+        if hasattr(stream, "writerow"):
+            stream.writerow([1])
+        else:
+            stream.write("x" if isinstance(stream, io.TextIOBase) else b"x")
+        return 1j
+
+    def defaulting(state, rng, stream=stream):
+        return write(stream)
+
+    class Writing:
+        def __init__(self):
+            self.stream = stream
+
+        def __call__(self, state, rng):
+            return write(self.stream)
+
+    return {
+        "variable": lambda state, rng: write(stream),
+        "global": lambda state, rng: write(OUTPUT[0]),
+        "default": defaulting,
+        "attribute": Writing(),
+        "argument": functools.partial(lambda stream, state, rng: write(stream), stream),
+    }[how]
+
+
+OUTPUT = {0: None}
+
+
+@pytest.mark.parametrize("how", ["variable", "global", "default", "attribute", "argument"])
+@pytest.mark.parametrize("make", OUTPUTS.values(), ids=OUTPUTS)
+def test_a_stream_to_which_a_model_writes_reports_to_the_caller(make, how, monkeypatch):
+    stream = make()
+    monkeypatch.setitem(OUTPUT, 0, stream)
+    lengths = []
+    for _ in range(3):  # a warning is an error
+        run(brief(written_by(stream, how)), 1)
+        lengths.append(len(stream.getvalue()) if hasattr(stream, "getvalue") else 0)
+    if lengths[0] or isinstance(stream, io.BytesIO | io.StringIO):
+        assert lengths == [lengths[0], 2 * lengths[0], 3 * lengths[0]] > [0, 0, 0]
+    if stream is not sys.stdout and hasattr(stream, "close"):
+        stream.close()
+
+
+def test_a_text_that_a_model_reads_is_copied():
+    lines = io.StringIO("1.0\n0.5\n")
+    scenario = brief(lambda state, rng: 1j * float(lines.readline() or 0.25))
+    assert run(scenario, 1).trace.events == run(scenario, 1).trace.events
+    assert lines.tell() == 0
+
+
+@pytest.mark.parametrize("constant", [struct.Struct("<d"), re.match("1", "1"), ContextVar("held")], ids=type)
+def test_what_never_changes_and_cannot_be_pickled_is_shared(constant):
+    held = Scenario.model_construct(protocol=functools.partial(int, constant))
+    with fresh_copy(held) as copied:
+        assert copied.protocol.args[0] is constant
 
 
 def idle(me):
