@@ -25,6 +25,8 @@ NOT_OWN = {*sys.stdlib_module_names, *PACKAGES, "desim"}
 """The modules that no file beside a scenario replaces."""
 _LIBRARIES = {*sys.stdlib_module_names, "networkx", "numpy", "pydantic", "scipy", "simpy"} - {"__main__"}
 """The packages whose lines say nothing about the cause of an error or of a hang."""
+IMPORTING = {"__import__", "import_module", "find_spec"}
+"""The functions of Python that find a module by its name."""
 _FOLDER = re.compile(r"@[^.]*")
 
 
@@ -73,6 +75,11 @@ def module_beside(name: str, folder: Path) -> str:
         return name
     place = str(folder).replace("%", "%25").replace(".", "%2E").replace("@", "%40")
     return ".".join(filter(None, [f"{top}@{place}", submodule]))
+
+
+def computed_name_beside(name: Any, folder: str) -> Any:
+    """Return `module_beside` of a name that a file computes and then imports; a relative name as it is."""
+    return module_beside(name, Path(folder)) if isinstance(name, str) and name[:1] != "." else name
 
 
 def _is_hidden(top: str, beside: ModuleSpec) -> bool:
@@ -161,6 +168,31 @@ class _Renaming(ast.NodeTransformer):
         if node.level == 0 and node.module is not None:
             node.module = module_beside(node.module, self._folder)
         return node
+
+    def visit_Call(self, node: ast.Call) -> ast.Call:
+        """Let functions that import a module by its name find the modules beside the file."""
+        self.generic_visit(node)
+        if importing_call(node):
+            node.args[:2] = map(self._own_name, node.args[:2])  # the second one may be a package
+            for keyword in node.keywords:
+                if keyword.arg in {"name", "package"}:
+                    keyword.value = self._own_name(keyword.value)
+        return node
+
+    def _own_name(self, name: ast.expr) -> ast.expr:
+        """Return an expression that computes the own name of a module; it also works in another process."""
+        code = f"__import__({__name__!r}, fromlist=['']).computed_name_beside(0, {str(self._folder)!r})"
+        call: Any = ast.parse(code, mode="eval").body
+        call.args[0] = name
+        expression: ast.expr = ast.copy_location(call, name)
+        return expression
+
+
+def importing_call(node: ast.Call) -> bool:
+    """Return whether a call imports a module by its name, as `importlib.import_module` does."""
+    called = node.func
+    name = called.id if isinstance(called, ast.Name) else getattr(called, "attr", "")
+    return name in IMPORTING
 
 
 def find_own_modules() -> None:

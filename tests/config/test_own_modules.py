@@ -6,6 +6,7 @@ import pickle
 import py_compile
 import re
 import sys
+from functools import partial
 from importlib.metadata import EntryPoint
 from multiprocessing import get_context
 
@@ -192,8 +193,6 @@ def test_names_can_be_read_back(folders):
 
 @pytest.mark.slow
 def test_a_call_that_was_packed_runs_the_code_of_its_folder(folders):
-    from functools import partial
-
     calls = [packed(partial(loaded(folder).record.metrics[1].of, None)) for folder in folders]
     assert [pickle.loads(called(call)) for call in calls] == [1, 2]
 
@@ -227,6 +226,34 @@ def test_values_of_the_grid_of_a_base_are_its_own_code(folders):
     (swept,) = configurations(read_source(folders[1] / "over.toml", allow_import=True))
     for model in (swept.scenario.protocol, swept.scenario.network.latency):
         assert folder_in_name(type(model).__module__) == folders[0]
+
+
+BY_TEXT = {
+    "import_module": "importlib.import_module('helper')",
+    "its name": "import_module('helper')",
+    "a keyword": "import_module(name='helper')",
+    "__import__": "__import__('helper')",
+    "a computed name": "[import_module(f'{part}per') for part in ['hel']][0]",
+    "a package": "import_module(f'shapes.{ {1: \"names\"}[1] }')",
+    "a relative name": "import_module('.names', package='shapes')",
+    "a specification": "[import_module(find_spec('helper').name)][0]",
+}
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("code", BY_TEXT.values(), ids=BY_TEXT)
+def test_a_module_that_is_imported_by_a_text_is_that_of_the_folder(folders, code):
+    scenarios = []
+    for folder in folders:
+        lines = ["import importlib", "from importlib import import_module", "from importlib.util import find_spec"]
+        rule = "\n\ndef rule(me):\n    yield me.sleep(0.1 * module.NUMBER)\n    me.assign(True)\n"
+        metric = f"\n\ndef number(result):\n    return ({code}).NUMBER\n"
+        (folder / "bytext.py").write_text("\n".join([*lines, f"module = {code}", rule, metric]))
+        (folder / "s.toml").write_text("protocol = 'bytext:rule'\nhorizon = 0.5\nrecord.metrics = ['bytext:number']\n")
+        scenarios.append(loaded(folder))
+    assert [summary(run(scenario, 1))["number"] for scenario in scenarios] == [1, 2]
+    call = packed(partial(scenarios[1].record.metrics[0].of, None))
+    assert pickle.loads(called(call)) == 2
 
 
 def test_a_module_that_is_there_compiled_only_is_found(tmp_path):

@@ -433,6 +433,52 @@ def test_the_text_of_what_a_function_of_a_script_imports_counts(tmp_path, monkey
     assert found[0] == found[1] != found[2]
 
 
+BY_TEXT = {
+    "a text": "import_module('plugins.one')",
+    "a keyword": "import_module(name='plugins.one')",
+    "__import__": "__import__('plugins.one')",
+    "a text of an f-string": "import_module(f'plugins.{name}')",
+    "a text that is formatted": "import_module('plugins.{}'.format(name))",
+    "a text that is added to": "import_module('plugins.' + name)",
+}
+
+
+@pytest.mark.parametrize("place", ["script", "module"])
+@pytest.mark.parametrize("code", BY_TEXT.values(), ids=BY_TEXT)
+def test_what_is_imported_by_a_text_counts(tmp_path, monkeypatch, code, place):
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    (tmp_path / "plugins").mkdir()
+    source = f"from importlib import import_module\n\ndef rule(me, name='one'):\n    return {code}\n"
+    (tmp_path / "bytext.py").write_text(source)
+    namespace = {"__name__": "__main__"}
+    exec(source, namespace)
+    found = []
+    for text in ("GAIN = 1", "GAIN = 1", "GAIN = 2"):
+        (tmp_path / "plugins" / "one.py").write_text(text)
+        invalidate_caches()
+        found.append(stable_hash(namespace["rule"] if place == "script" else import_module("bytext").rule))
+        for name in ("plugins", "plugins.one", "bytext"):
+            sys.modules.pop(name, None)
+    assert found[0] == found[1] != found[2]
+
+
+def test_a_relative_name_that_is_imported_by_a_text_counts(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    (tmp_path / "group").mkdir()
+    source = "from importlib import import_module\n\ndef rule(me):\n    return import_module('.near', __package__)\n"
+    (tmp_path / "group" / "mine.py").write_text(source)
+    found = []
+    for text in ("GAIN = 1", "GAIN = 2"):
+        (tmp_path / "group" / "near.py").write_text(text)
+        invalidate_caches()
+        found.append(stable_hash(import_module("group.mine").rule))
+        for name in ("group", "group.mine"):
+            sys.modules.pop(name)
+    assert found[0] != found[1]
+
+
 INSTALLED = {
     "pack/__init__.py": "",
     "pack/rule.py": "def rule(me):\n    from pack.inner import helper\n",

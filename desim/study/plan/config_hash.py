@@ -35,11 +35,11 @@ from pydantic import BaseModel
 from desim.config.data_files import DataFileError, content_hash, declared, opened_by
 from desim.config.errors import Problem
 from desim.config.named_code import definition_of
-from desim.config.own_modules import plain_name
+from desim.config.own_modules import IMPORTING, plain_name
 from desim.config.traits import OURS
 from desim.scenario.overrides import ScenarioError
 from desim.scenario.scenario import Scenario
-from desim.study.plan.user_code import HASHED_BY_NAME, UserCode, package_of
+from desim.study.plan.user_code import HASHED_BY_NAME, UserCode, names_in_texts, package_of
 
 UNSWEPT = MappingProxyType(
     {
@@ -256,7 +256,11 @@ def globals_read(code: CodeType) -> set[str]:
 def _imported(code: CodeType) -> set[str]:
     """Return the names of the modules that a function and the functions inside it may import."""
     names, module = set[str](), ""
-    for operation, name in _operations(code):
+    operations = list(_operations(code))
+    if IMPORTING & {name for operation, name in operations if operation.startswith("LOAD_")}:
+        constants = (constant for operation, constant in operations if operation == "LOAD_CONST")
+        names.update(names_in_texts(text for text in constants if isinstance(text, str)))
+    for operation, name in operations:
         if operation == "IMPORT_NAME":
             module = name
             names.add(module)

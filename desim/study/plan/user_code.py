@@ -9,16 +9,17 @@ import json
 import os
 import re
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from functools import cache
 from importlib.metadata import PackageNotFoundError, packages_distributions, requires, version
 from importlib.util import find_spec, resolve_name
 from pathlib import Path
+from pkgutil import iter_modules
 from typing import Any
 
 from desim.config.data_files import content_hash, opened_by
-from desim.config.own_modules import folder_in_name, module_beside, plain_name
+from desim.config.own_modules import folder_in_name, importing_call, module_beside, plain_name
 from desim.config.traits import OURS
 from desim.results.environment import NUMERICS
 
@@ -69,8 +70,14 @@ class UserCode:
         return True
 
     def add_imported(self, names: Iterable[str]) -> None:
-        """Add modules that code may import: of an installed package only its version, because the code may not run."""
+        """Add modules that code may import: of an installed package only its version, because the code may not run.
+
+        A name "package.*" stands for all modules in a package.
+        """
         for module in names:
+            if module.endswith(".*"):
+                self.add_imported(_modules_in(module[:-2]))
+                continue
             package = package_of(module)
             if (package_file := _file(package)) is None or not is_installed(package_file):
                 self.add(module)
@@ -141,7 +148,36 @@ def _imported(source: bytes, package: str) -> frozenset[str]:
             with suppress(ImportError):  # a relative import outside of a package
                 module = resolve_name("." * node.level + (node.module or ""), package)
                 names.update([module, *(f"{module}.{alias.name}" for alias in node.names)])
+        elif isinstance(node, ast.Call) and importing_call(node):
+            constants = (part.value for part in ast.walk(node) if isinstance(part, ast.Constant))
+            texts = [text for text in constants if isinstance(text, str)]
+            names.update(names_in_texts(f"{package}{text}" if text.startswith(".") else text for text in texts))
     return frozenset(names)
+
+
+def names_in_texts(texts: Iterable[str]) -> Iterator[str]:
+    """Yield the names of modules that code may import by texts; "package.*" for a text that is completed later.
+
+    An example is "rules.{}" in `import_module("rules.{}".format(name))`, and "rules." of an f-string.
+    """
+    for text in texts:
+        name = re.split(r"[^\w.]", text, maxsplit=1)[0]
+        if name.startswith("."):
+            continue
+        if name and name == text and not name.endswith("."):
+            yield name
+        elif package := name.rpartition(".")[0]:
+            yield f"{package}.*"
+
+
+def _modules_in(package: str) -> list[str]:
+    """Return the names of the modules in a package of a user, sorted; none if it is no package, or an installed one."""
+    try:
+        spec = find_spec(package)
+    except (ImportError, ValueError):
+        return []
+    folders = [folder for folder in (spec and spec.submodule_search_locations) or () if not is_installed(Path(folder))]
+    return [package, *sorted(f"{package}.{module.name}" for module in iter_modules(folders))] if folders else []
 
 
 def package_of(module: Any) -> str:
