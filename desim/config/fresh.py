@@ -73,7 +73,8 @@ def _copy(value: Any, *, with_collections: bool = False) -> tuple[Any, Copier]:
     content = BytesIO()
     copier = Copier(content, with_collections=with_collections)
     copier.dump(value)
-    return CopyReader(content, copier.shared).load(), copier
+    reader = CopyReader(content, copier.shared)
+    return reader.load(), copier
 
 
 def _refusal(users: Mapping[str, Any], error: Exception) -> StateError:
