@@ -124,16 +124,23 @@ class _Finder:
             return namespace
         if not isinstance(spec.loader, SourceFileLoader):  # compiled code loads under the name that is built into it
             return spec
-        loader = _Loader(name, spec.origin)
+        loader = OwnLoader(name, spec.origin)
         return spec_from_file_location(name, spec.origin, loader=loader, submodule_search_locations=places)
 
 
-class _Loader(SourceFileLoader):
-    """Loads a module such that its imports find the modules beside its file."""
+class OwnLoader(SourceFileLoader):
+    """Loads a module such that its imports find the modules beside its file.
+
+    Attributes:
+        source: the source that was loaded last.
+    """
+
+    source: bytes
 
     def get_code(self, fullname: str) -> CodeType:
         """Return the code; it is not cached, because other programs import the file under its plain name."""
-        tree = _Renaming(folder_in_name(fullname) or Path()).visit(ast.parse(self.get_data(self.path), self.path))
+        self.source = self.get_data(self.path)
+        tree = _Renaming(folder_in_name(fullname) or Path()).visit(ast.parse(self.source, self.path))
         return self.source_to_code(ast.fix_missing_locations(tree), self.path)
 
 

@@ -117,6 +117,7 @@ def test_identities_and_files_do_not_depend_on_the_folder(folders, tmp_path):
     names = {f"the code of {name}" for name in ("myrule", "helper", "lazy", "shapes", "shapes.names", "shapes.graphs")}
     assert identities[0].sources.keys() == {*names, "the code of strategies.own"} == identities[1].sources.keys()
     (folders[1] / "helper.py").write_text("NUMBER = 1")
+    importlib.reload(sys.modules[module_beside("helper", folders[1])])
     assert identify(scenarios[1]) == identities[0]
     assert dump(scenarios[0]) == dump(scenarios[1])
     assert "@" not in dump(scenarios[0])

@@ -12,7 +12,7 @@ from collections.abc import Sized
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property, lru_cache, partial, partialmethod, reduce
-from importlib import import_module, invalidate_caches
+from importlib import import_module, invalidate_caches, reload
 from math import inf, nan, nextafter
 from pathlib import Path
 from types import MappingProxyType, SimpleNamespace
@@ -26,8 +26,9 @@ from pydantic import BaseModel, PrivateAttr
 from desim.config.data_files import content_hash
 from desim.config.model import Value
 from desim.config.own_modules import find_own_modules, module_beside
+from desim.config.shared_state import StateWarning
 from desim.study.plan import user_code
-from desim.study.plan.config_hash import StablePickler
+from desim.study.plan.config_hash import StablePickler, object_hash
 from desim.study.plan.user_code import UserCode
 
 
@@ -477,6 +478,31 @@ def test_a_relative_name_that_is_imported_by_a_text_counts(tmp_path, monkeypatch
         for name in ("group", "group.mine"):
             sys.modules.pop(name)
     assert found[0] != found[1]
+
+
+@pytest.mark.parametrize("beside", [False, True])
+@pytest.mark.parametrize("is_hashed_before", [False, True])
+def test_a_module_that_was_edited_after_its_import_counts_as_it_was_imported(
+    tmp_path, monkeypatch, beside, is_hashed_before
+):
+    """Also if it is hashed only after the edit: the compiled code, or the loader, has what was imported."""
+    monkeypatch.syspath_prepend(tmp_path / ("" if beside else "rules"))
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
+    (tmp_path / "rules").mkdir()
+    (tmp_path / "rules" / "edited.py").write_text("def rule(me):\n    yield me.sleep(1)\n")
+    invalidate_caches()
+    find_own_modules()
+    name = module_beside("edited", tmp_path / "rules")
+    assert ("@" in name) == beside
+    module = import_module(name)
+    found = [object_hash(module.rule) for _ in range(2 * is_hashed_before)]
+    (tmp_path / "rules" / "edited.py").write_text("def rule(me):\n    yield me.sleep(20)\n")
+    for _ in range(2):
+        with pytest.warns(StateWarning, match=r"^edited: edited.py was edited after it was imported, .* reload"):
+            found.append(object_hash(module.rule))
+    assert len({*found}) == 1
+    assert object_hash(reload(module).rule) != found[0]  # a warning is an error
+    sys.modules.pop(name)
 
 
 INSTALLED = {

@@ -32,10 +32,12 @@ import cloudpickle
 import numpy as np
 from pydantic import BaseModel
 
+from desim.config.caller_warnings import warn_caller
 from desim.config.data_files import DataFileError, content_hash, declared, opened_by
 from desim.config.errors import Problem
 from desim.config.named_code import definition_of
 from desim.config.own_modules import IMPORTING, plain_name
+from desim.config.shared_state import StateWarning
 from desim.config.traits import OURS
 from desim.scenario.overrides import ScenarioError
 from desim.scenario.scenario import Scenario
@@ -98,11 +100,22 @@ def identify(scenario: Scenario) -> Identity:
             raise ScenarioError(Problem(str(error), key)) from error
         except Exception as error:  # code of the object may raise anything
             raise ScenarioError(Problem(f"has no stable hash: {error}; {ADVICE}", key)) from error
+    _warn_of_edited(pickler.user)
     files = [file for _, file in sorted((Path(path).name, content) for path, content in pickler.user.files.items())]
     content = [tables(scenario), pickler.digest(), pickler.user.code, files]
     sources = {f"the code of {name}": code for name, code in pickler.user.code.items()}
     sources |= {f"the content of {path}": content for path, content in pickler.user.files.items()}
     return Identity(content_hash(json.dumps(content, sort_keys=True).encode()), sources)
+
+
+def _warn_of_edited(user: UserCode) -> None:
+    """Warn of modules that were edited after their import, and whose hash is that of the older code, which runs."""
+    for name, file in user.edited.items():
+        text = (
+            f"{name}: {file.name} was edited after it was imported, and the code from before the edit runs: reload the"
+            " module (importlib.reload) or start Python again"
+        )
+        warn_caller(text, StateWarning)
 
 
 def object_hash(value: Any) -> str:
@@ -112,7 +125,9 @@ def object_hash(value: Any) -> str:
         Exception: if the object has no stable hash.
     """
     pickler = StablePickler(UserCode())
-    content = [pickler.digest(value), pickler.user.code, sorted(pickler.user.files.values())]
+    digest = pickler.digest(value)
+    _warn_of_edited(pickler.user)
+    content = [digest, pickler.user.code, sorted(pickler.user.files.values())]
     return content_hash(json.dumps(content, sort_keys=True).encode())
 
 

@@ -1,7 +1,6 @@
 """User code: the source of the modules that a run uses besides `desim` and `protocols`, and of all that they import.
 
-The source is read when it is asked for. Reload a module that was edited after its import; otherwise the old code runs,
-and the hash is that of the new code.
+A module that was edited after its import runs as it was imported, and so it is hashed: see `_as_imported`.
 """
 
 import ast
@@ -12,14 +11,15 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from functools import cache
+from importlib.machinery import ModuleSpec, SourceFileLoader
 from importlib.metadata import PackageNotFoundError, packages_distributions, requires, version
 from importlib.util import find_spec, resolve_name
 from pathlib import Path
 from pkgutil import iter_modules
-from typing import Any
+from typing import Any, NamedTuple
 
 from desim.config.data_files import content_hash, opened_by
-from desim.config.own_modules import folder_in_name, importing_call, module_beside, plain_name
+from desim.config.own_modules import OwnLoader, folder_in_name, importing_call, module_beside, plain_name
 from desim.config.traits import OURS
 from desim.results.environment import NUMERICS
 
@@ -38,11 +38,13 @@ class UserCode:
         code: the hash of the source of each user module, the version of each installed package, and what a caller adds,
             by name.
         files: the hash of the content of each data file, by path.
+        edited: the file of each module that was edited after its import, by name.
     """
 
     def __init__(self) -> None:
         self.code: dict[str, str] = {}
         self.files: dict[str, str] = {}
+        self.edited: dict[str, Path] = {}
         self._modules: set[str] = set()
 
     def add(self, name: str) -> bool:
@@ -56,12 +58,14 @@ class UserCode:
         if is_installed(file):
             self.code |= _package(package_of(name), file)
             return True
-        source = file.read_bytes()
+        imported = _as_imported(name, file)
+        source = imported.source
+        self.edited |= {plain_name(name): file} if imported.content != file.read_bytes() else {}
         self._modules.add(name)
         key = plain_name(name)
         while key in self.code:  # another module of this name lies beside another scenario file
             key += "'"
-        self.code[key] = content_hash(source)
+        self.code[key] = content_hash(imported.content)
         parent, folder = name.rpartition(".")[0], folder_in_name(name)
         if file.suffix == ".py":
             # To import a module is to run its parent package, too.
@@ -83,6 +87,44 @@ class UserCode:
                 self.add(module)
             elif package not in HASHED_BY_NAME:
                 self.code |= _versions(_distributions().get(package, ()))
+
+
+class Imported(NamedTuple):
+    """What is known of a module of a user."""
+
+    spec: ModuleSpec | None
+    """Its specification, which is another one after the module was reloaded; None if it has yet to be imported."""
+    content: bytes
+    """What is hashed: its source, or its compiled code if the source was edited before it was first read."""
+    source: bytes
+    """The source in which its imports are looked up."""
+
+
+_IMPORTED: dict[str, Imported] = {}
+"""The imported modules of users by name, since they were first hashed."""
+
+
+def _as_imported(name: str, file: Path) -> Imported:
+    """Return what is known of the code of a module that runs, which is older than a file that was edited since."""
+    spec = getattr(sys.modules.get(name), "__spec__", None)
+    known = _IMPORTED.get(name)
+    if known is None or known.spec is not spec or spec is None:
+        source = spec.loader.source if spec and isinstance(spec.loader, OwnLoader) else file.read_bytes()
+        known = Imported(spec, (spec and _edited_code(spec, file)) or source, source)
+        _IMPORTED[name] = known
+    return known
+
+
+def _edited_code(spec: ModuleSpec, file: Path) -> bytes:
+    """Return the compiled code of a module whose source was edited after Python compiled it; b"" if it was not."""
+    cached = Path(spec.cached or "")
+    is_written = type(spec.loader) is SourceFileLoader and not sys.dont_write_bytecode
+    if not (is_written and cached.is_file() and os.access(cached.parent, os.W_OK)):  # it may be of an older import
+        return b""
+    compiled, status = cached.read_bytes(), file.stat()
+    flags, modified, size = (int.from_bytes(compiled[k : k + 4], "little") for k in (4, 8, 12))
+    is_of_source = flags != 0 or (modified, size) == (int(status.st_mtime) & 0xFFFFFFFF, status.st_size & 0xFFFFFFFF)
+    return b"" if is_of_source else compiled[16:]
 
 
 @cache
