@@ -419,7 +419,7 @@ MUTABLE: dict[str, tuple[Any, Any, int | None]] = {
     ),
     "slice": (slice(1, 2), {"class_name": "slice", "args": [1, 2, None]}, NONE),
     "interval": (pd.Interval(0, 1), {"class_name": "Interval", "args": [0, 1, "right"]}, NONE),
-    "C integer": (ctypes.c_int8(5), {"class_name": "c_byte", "args": ["c_byte", [{}, "05"]]}, NONE),
+    "C integer": (ctypes.c_int8(5), {"class_name": "c_byte", "args": ["c_byte", [{}, "05"]]}, 1),
 }
 """By name: a body that may change, its content and its size, bytes."""
 BODIES = IMMUTABLE | MUTABLE

@@ -1,5 +1,6 @@
 """Bytes of messages."""
 
+import ctypes
 from collections import namedtuple
 
 import numpy as np
@@ -43,6 +44,26 @@ def test_an_action_takes_24_bytes_with_its_time_32_with_position_and_speed_48():
     ],
 )
 def test_the_size_of_a_body_is_that_of_its_contents(body, expected):
+    assert size_of(body) == 16 + expected
+
+
+class Pose(ctypes.LittleEndianStructure):
+    _pack_ = 1
+    _layout_ = "ms"
+    _fields_ = (("x", ctypes.c_double), ("y", ctypes.c_float), ("robot", ctypes.c_int16), ("name", ctypes.c_char * 4))
+
+
+@pytest.mark.parametrize(
+    ("body", "expected"),
+    [
+        (Pose(1.0, 2.0, 3, b"uav"), 8 + 4 + 2 + 4),
+        ((Pose * 2)(), 36),
+        ({"id": 1, "pose": Pose()}, 2 + 8 + 4 + 18),
+        (ctypes.c_uint16(5), 2),
+        (memoryview(Pose()), 18),
+    ],
+)
+def test_a_structure_of_ctypes_has_its_bytes(body, expected):
     assert size_of(body) == 16 + expected
 
 

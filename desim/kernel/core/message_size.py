@@ -122,7 +122,10 @@ def size(body: Any) -> int:
     fields = content_fields(body)
     parts = attributes_of(body) if fields is None else fields
     if fields is None and (not parts or is_opaque(kind)):
-        return _no_size(body)
+        try:
+            return memoryview(body).nbytes  # a structure of ctypes, for example
+        except TypeError:
+            return _no_size(body)
     return portable_sum(map(_size, parts.values()))
 
 
