@@ -16,6 +16,7 @@ from importlib import import_module, invalidate_caches, reload
 from math import inf, nan, nextafter
 from pathlib import Path
 from types import MappingProxyType, SimpleNamespace
+from unittest.mock import Mock
 from weakref import WeakSet
 
 import networkx as nx
@@ -28,6 +29,7 @@ from desim.config.model import Value
 from desim.config.own_modules import find_own_modules, module_beside
 from desim.config.shared_state import StateWarning
 from desim.study.plan import user_code
+from desim.study.plan.assigned_values import assigned_values
 from desim.study.plan.config_hash import StablePickler, object_hash
 from desim.study.plan.user_code import UserCode
 
@@ -503,6 +505,79 @@ def test_a_module_that_was_edited_after_its_import_counts_as_it_was_imported(
     assert len({*found}) == 1
     assert object_hash(reload(module).rule) != found[0]  # a warning is an error
     sys.modules.pop(name)
+
+
+CONSTANTS = """
+GAIN = 1.0
+TABLE = {"a": [1, 2]}
+ARRAY: tuple = (1, 2)
+SET = {1, 2}
+LATER = 0
+SEEN = []
+CACHE = {"a": {}}
+TWICE = 1
+TWICE = 2
+COMPUTED = len("abc")
+
+class Setting:
+    step = 0.1
+    calls = 0
+
+class Level(Enum):
+    LOW = 1
+
+@dataclass(slots=True)
+class Slotted:
+    step: float = 0.1
+
+def rule(me):
+    global LATER
+    LATER += 1
+    SEEN.append(1)
+    CACHE["a"]["b"] = 2
+    Setting.calls += 1
+    yield me.sleep(GAIN)
+"""
+ASSIGNED = {
+    "GAIN": lambda module: setattr(module, "GAIN", 2.0),
+    "an int": lambda module: setattr(module, "GAIN", 1),
+    "TABLE": lambda module: module.TABLE["a"].append(3),
+    "ARRAY": lambda module: setattr(module, "ARRAY", np.array([1.0, 3.0])),
+    "SET": lambda module: setattr(module, "SET", {1, 3}),
+    "step": lambda module: setattr(module.Setting, "step", 0.2),
+}
+
+
+@pytest.fixture
+def with_constants(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "constants.py").write_text(f"from dataclasses import dataclass\nfrom enum import Enum\n{CONSTANTS}")
+    (tmp_path / "reading.py").write_text("import constants\n\ndef rule(me):\n    yield me.sleep(constants.GAIN)\n")
+    invalidate_caches()
+    yield import_module("reading")
+    for name in ("constants", "reading"):
+        sys.modules.pop(name)
+
+
+@pytest.mark.parametrize("assign", ASSIGNED.values(), ids=ASSIGNED)
+def test_a_constant_of_a_module_counts_with_the_value_that_a_program_has_assigned(with_constants, assign):
+    constants = with_constants.constants
+    rules = [constants.rule, with_constants.rule]
+    found = [stable_hash(rule) for rule in rules]
+    assign(constants)
+    assert all(stable_hash(rule) != before for rule, before in zip(rules, found, strict=True))
+    assert assigned_values(constants, b"") == {}
+
+
+def test_an_equal_constant_and_what_a_module_changes_itself_do_not_count(with_constants):
+    constants = with_constants.constants
+    found = stable_hash(constants.rule)
+    for _ in constants.rule(Mock()):
+        pass
+    constants.GAIN, constants.ARRAY, constants.TABLE = np.float64(1.0), (1, 2), {"a": [1, 2]}
+    constants.COMPUTED, constants.new = 4, 5
+    assert constants.LATER == constants.Setting.calls == len(constants.SEEN) == 1
+    assert stable_hash(constants.rule) == found
 
 
 INSTALLED = {

@@ -12,8 +12,9 @@ If its module belongs to an installed package, all modules of the package are ha
 script or a notebook, its compiled code, the globals that this code reads and the modules that it imports are hashed
 instead of the source, because the rest of the script may change.
 
-The globals of a module and the attributes of its functions and classes count only through its source
-(`desim.study.plan.user_code`): values that a program assigns to them later do not distinguish runs.
+The globals of a module and the attributes of its functions and classes count through its source
+(`desim.study.plan.user_code`). Of the values that a program assigns to them later, those of constants distinguish runs
+(`desim.study.plan.assigned_values`).
 """
 
 import json

@@ -22,6 +22,7 @@ from desim.config.data_files import content_hash, opened_by
 from desim.config.own_modules import OwnLoader, folder_in_name, importing_call, module_beside, plain_name
 from desim.config.traits import OURS
 from desim.results.environment import NUMERICS
+from desim.study.plan.assigned_values import assigned_values
 
 HASHED_BY_NAME = {*OURS, *NUMERICS, "cloudpickle", *sys.stdlib_module_names}
 """The packages whose classes and functions are hashed by name only."""
@@ -65,7 +66,9 @@ class UserCode:
         key = plain_name(name)
         while key in self.code:  # another module of this name lies beside another scenario file
             key += "'"
-        self.code[key] = content_hash(imported.content)
+        module = sys.modules.get(name)
+        assigned = assigned_values(module, source) if module is not None and file.suffix == ".py" else {}
+        self.code[key] = content_hash(imported.content + (repr(assigned).encode() if assigned else b""))
         parent, folder = name.rpartition(".")[0], folder_in_name(name)
         if file.suffix == ".py":
             # To import a module is to run its parent package, too.
