@@ -2,6 +2,7 @@
 
 import copy
 import linecache
+import pickle
 import random
 import re
 import subprocess
@@ -578,6 +579,40 @@ def test_an_equal_constant_and_what_a_module_changes_itself_do_not_count(with_co
     constants.COMPUTED, constants.new = 4, 5
     assert constants.LATER == constants.Setting.calls == len(constants.SEEN) == 1
     assert stable_hash(constants.rule) == found
+
+
+READS = {
+    "array": "WEIGHTS = np.load('w.npy')",
+    "list": "WEIGHTS = [float(w) for w in np.load('w.npy')]",
+    "with": "with open('w.npy', 'rb') as file:\n    WEIGHTS = np.load(file)",
+    "json": "WEIGHTS = json.load(open('w.json'))",
+    "text": "WEIGHTS = Path('w.json').read_text()",
+    "rows": "with open('w.json') as file:\n    WEIGHTS = [*csv.reader(file)]",
+    "pickle": "WEIGHTS = pickle.loads(Path('w.pkl').read_bytes())",
+    "frame": "WEIGHTS = pd.read_csv('w.csv')",
+    "a branch": "if True:\n    WEIGHTS = np.load('w.npy')",
+}
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.parametrize("code", READS.values(), ids=READS)
+def test_what_a_module_reads_from_a_file_as_it_is_imported_counts(tmp_path, monkeypatch, code):
+    import pandas as pd
+
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    imports = "import csv, json, pickle\nfrom pathlib import Path\nimport numpy as np\nimport pandas as pd\n"
+    (tmp_path / "reads.py").write_text(f"{imports}{code}\n\ndef rule(me):\n    return WEIGHTS\n")
+    found = []
+    for weights in ([1.0, 2.0], [1.0, 2.0], [1.0, 3.0]):
+        np.save(tmp_path / "w.npy", weights)
+        (tmp_path / "w.json").write_text(str(weights))
+        (tmp_path / "w.pkl").write_bytes(pickle.dumps(weights))
+        pd.DataFrame({"w": weights}).to_csv(tmp_path / "w.csv")
+        invalidate_caches()
+        found.append(object_hash(import_module("reads").rule))
+        sys.modules.pop("reads")
+    assert found[0] == found[1] != found[2]
 
 
 INSTALLED = {

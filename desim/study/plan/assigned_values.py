@@ -1,8 +1,11 @@
-"""Constants of a user's module that a program has replaced since the import, as in `my_rules.GAIN = 2.0`.
+"""Values of the variables of a user's module that do not follow from its source.
 
+Of one kind are constants that a program has replaced since the import, as in `my_rules.GAIN = 2.0`.
 The source of the module does not tell them, so they are a part of the hash of its code. A constant is a variable of
 the module, or an attribute of a class in it, that the source sets once, to a literal. What code of the module itself
 changes is no constant: it is the state of a run, of which `desim.config.shared_state` warns.
+
+Of the other kind is what a module reads from a file at its import, as in `WEIGHTS = np.load("weights.npy")`.
 """
 
 import ast
@@ -20,6 +23,11 @@ PLAIN = (int, float, bool, str, bytes, complex, type(None))
 """The types of plain values without parts."""
 CHANGING = ADDING | {"pop", "popitem", "clear", "setdefault", "insert", "remove", "discard", "sort", "reverse"}
 """The methods that change a collection."""
+READING = {
+    *("open", "load", "loads", "loadtxt", "genfromtxt", "fromfile", "loadmat", "read_text", "read_bytes", "DictReader"),
+    *("read_csv", "read_parquet", "read_json", "read_excel", "read_table", "read_pickle", "read_graphml", "reader"),
+}
+"""The names of functions that read files. What `open_data` opens is hashed already."""
 
 
 def assigned_values(module: ModuleType, source: bytes) -> dict[str, str]:
@@ -33,6 +41,26 @@ def assigned_values(module: ModuleType, source: bytes) -> dict[str, str]:
             if text is not None and text != literal:
                 values[name] = text
     return values
+
+
+def values_from_files(module: ModuleType, source: bytes) -> dict[str, Any]:
+    """Return the present values of the variables that a module has read from files at its import, by name."""
+    return {name: vars(module)[name] for name in _names_from_files(source) if name in vars(module)}
+
+
+@cache
+def _names_from_files(source: bytes) -> tuple[str, ...]:
+    tree = ast.parse(source)
+    names = set[str]()
+    for statement in tree.body:
+        if isinstance(statement, ast.Assign | ast.AnnAssign | ast.With | ast.For | ast.Try | ast.If):
+            parts = list(ast.walk(statement))
+            called = {_last_name(part.func) for part in parts if isinstance(part, ast.Call)}
+            if called & READING and "open_data" not in called:
+                names.update(
+                    part.id for part in parts if isinstance(part, ast.Name) and isinstance(part.ctx, ast.Store)
+                )
+    return tuple(sorted(names - set(_changed(tree))))
 
 
 @cache

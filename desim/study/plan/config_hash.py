@@ -20,10 +20,11 @@ The globals of a module and the attributes of its functions and classes count th
 import json
 import sys
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dis import get_instructions
 from functools import cache, cached_property
 from io import BytesIO
-from operator import attrgetter
+from operator import attrgetter, itemgetter
 from pathlib import Path
 from types import CodeType, FunctionType, MappingProxyType, ModuleType, NoneType
 from typing import Any, NamedTuple
@@ -102,11 +103,21 @@ def identify(scenario: Scenario) -> Identity:
         except Exception as error:  # code of the object may raise anything
             raise ScenarioError(Problem(f"has no stable hash: {error}; {ADVICE}", key)) from error
     _warn_of_edited(pickler.user)
+    read = _read_from_files(pickler.user)
     files = [file for _, file in sorted((Path(path).name, content) for path, content in pickler.user.files.items())]
-    content = [tables(scenario), pickler.digest(), pickler.user.code, files]
+    content = [tables(scenario), pickler.digest(), pickler.user.code, files, *read]
     sources = {f"the code of {name}": code for name, code in pickler.user.code.items()}
     sources |= {f"the content of {path}": content for path, content in pickler.user.files.items()}
     return Identity(content_hash(json.dumps(content, sort_keys=True).encode()), sources)
+
+
+def _read_from_files(user: UserCode) -> list[tuple[str, str]]:
+    """Return what modules have read from files at their import: its name, and a hash of it if it has a stable one."""
+    hashes = []
+    for name, value in sorted(user.read.items(), key=itemgetter(0)):
+        with suppress(Exception):  # such as an open file
+            hashes.append((name, StablePickler(UserCode()).digest(value)))
+    return hashes
 
 
 def _warn_of_edited(user: UserCode) -> None:
@@ -129,6 +140,7 @@ def object_hash(value: Any) -> str:
     digest = pickler.digest(value)
     _warn_of_edited(pickler.user)
     content = [digest, pickler.user.code, sorted(pickler.user.files.values())]
+    content += _read_from_files(pickler.user)
     return content_hash(json.dumps(content, sort_keys=True).encode())
 
 

@@ -22,7 +22,7 @@ from desim.config.data_files import content_hash, opened_by
 from desim.config.own_modules import OwnLoader, folder_in_name, importing_call, module_beside, plain_name
 from desim.config.traits import OURS
 from desim.results.environment import NUMERICS
-from desim.study.plan.assigned_values import assigned_values
+from desim.study.plan.assigned_values import assigned_values, values_from_files
 
 HASHED_BY_NAME = {*OURS, *NUMERICS, "cloudpickle", *sys.stdlib_module_names}
 """The packages whose classes and functions are hashed by name only."""
@@ -39,12 +39,14 @@ class UserCode:
         code: the hash of the source of each user module, the version of each installed package, and what a caller adds,
             by name.
         files: the hash of the content of each data file, by path.
+        read: what the modules have read from files at their import, by module and name.
         edited: the file of each module that was edited after its import, by name.
     """
 
     def __init__(self) -> None:
         self.code: dict[str, str] = {}
         self.files: dict[str, str] = {}
+        self.read: dict[str, Any] = {}
         self.edited: dict[str, Path] = {}
         self._modules: set[str] = set()
 
@@ -67,7 +69,10 @@ class UserCode:
         while key in self.code:  # another module of this name lies beside another scenario file
             key += "'"
         module = sys.modules.get(name)
-        assigned = assigned_values(module, source) if module is not None and file.suffix == ".py" else {}
+        assigned = {}
+        if module is not None and file.suffix == ".py":
+            assigned = assigned_values(module, source)
+            self.read |= {f"{key}.{name}": value for name, value in values_from_files(module, source).items()}
         self.code[key] = content_hash(imported.content + (repr(assigned).encode() if assigned else b""))
         parent, folder = name.rpartition(".")[0], folder_in_name(name)
         if file.suffix == ".py":
