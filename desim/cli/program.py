@@ -10,6 +10,8 @@ Three further errors end the program without a traceback of desim:
 import os
 import sys
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from traceback import extract_tb, format_list
 from typing import Any
 
@@ -29,6 +31,21 @@ def released(error: BaseException | None) -> None:
         error.__traceback__, error.__cause__, error.__context__, error = None, None, None, error.__context__
 
 
+@contextmanager
+def _ending_interrupted() -> Iterator[None]:
+    """End the program if a signal interrupts the block, with a message and the exit code of the signal."""
+    try:
+        with raising():
+            yield
+    except KeyboardInterrupt as error:
+        text = f"interrupted {error}".rstrip()
+        try:
+            notes = "; ".join(getattr(error, "__notes__", ()))
+            echo(f"{text}: {notes}" if notes else text, err=True)
+        finally:  # even if the terminal is closed
+            raise click.exceptions.Exit(exit_code(error)) from None
+
+
 class Program(click.Command):
     """A command with the exit codes that shells expect, such as 128 + the number of the signal that interrupts it.
 
@@ -37,19 +54,17 @@ class Program(click.Command):
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command."""
+        with _ending_interrupted():
+            return self._invoke(ctx)
+
+    def _invoke(self, ctx: click.Context) -> Any:
+        """Run the command; an error without a traceback of desim ends the program."""
         try:
-            with raising(), warnings.catch_warnings():
+            with warnings.catch_warnings():
                 warnings.showwarning = lambda message, *_, **__: echo(f"warning: {message}", err=True)
                 return super().invoke(ctx)
         except click.UsageError as error:  # raised by a command of the group, whose words `make_context` has kept
             raise advised(error, ctx.meta.get(WORDS, ()), ctx) from None
-        except KeyboardInterrupt as error:
-            text = f"interrupted {error}".rstrip()
-            try:
-                notes = "; ".join(getattr(error, "__notes__", ()))
-                echo(f"{text}: {notes}" if notes else text, err=True)
-            finally:  # even if the terminal is closed
-                ctx.exit(exit_code(error))
         except TimedOut as error:
             echo(f"--timeout: {error}", err=True)
             ctx.exit(RAISED)
@@ -76,6 +91,13 @@ class Program(click.Command):
 
     def make_context(
         self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
+    ) -> click.Context:
+        """Return the context of the command; an error says what to type instead."""
+        with _ending_interrupted():  # advice on a wrong option imports all commands
+            return self._make_context(info_name, args, parent, **extra)
+
+    def _make_context(
+        self, info_name: str | None, args: list[str], parent: click.Context | None, **extra: Any
     ) -> click.Context:
         """Return the context of the command; an error says what to type instead."""
         words = tuple(args)  # parsing empties the list

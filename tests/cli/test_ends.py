@@ -4,6 +4,7 @@ import ast
 import errno
 import os
 import re
+import signal
 import subprocess
 import sys
 import warnings
@@ -359,6 +360,17 @@ def test_ctrl_c_while_the_command_is_imported_ends_with_one_line(monkeypatch, ca
         run_module("desim.__main__")
     assert ended.value.code == 130
     assert capsys.readouterr().err == "interrupted\n"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    ("step", "words"), [("check_hyphens", ["keys"]), ("advised", ["keys", "-y"]), ("advised", ["-y"])]
+)
+def test_a_signal_while_the_words_are_read_ends_as_during_the_command(step, words, number, monkeypatch):
+    monkeypatch.setattr(f"desim.cli.program.{step}", lambda *_: signal.raise_signal(number))
+    ended = desim(*words)
+    assert ended.exit_code == 128 + number
+    assert ended.stderr == ("interrupted\n" if number == signal.SIGINT else "interrupted by SIGTERM\n")
 
 
 def test_a_run_out_of_memory_lets_go_of_what_its_calls_hold_before_it_says_so():
