@@ -1,7 +1,7 @@
 """Print digests of runs: the trace with all its messages, and the summary.
 
 They are the same under Python 3.11 to 3.14, in any place and process: `nox -s digests` and .ci/run compare them.
-There is a run of each scenario file, and `LONG`.
+There is a run of each scenario file, `LONG`, and `RARE`: what scenario files do not reach.
 """
 
 import json
@@ -14,6 +14,7 @@ from desim import Scenario, load, run, summary
 from desim.analysis.metrics import plain
 from desim.kernel.core.trace_file import line_of
 from scenarios.studies.study import SCENARIOS
+from tests.rare_scenarios import RARE
 
 HORIZON = 1.0
 """Of the run of each scenario file, s."""
@@ -29,19 +30,21 @@ LONG = Scenario(
     },
 )
 """A run of more than 10,000 changes: from that length on OpenBLAS divides a vector among its threads."""
-NAMES = (*sorted(file.name for file in SCENARIOS.glob("*.toml")), "long")
+NAMES = (*sorted(file.name for file in SCENARIOS.glob("*.toml")), "long", *RARE)
 """Of the runs."""
 
 
 def digests(seed: int, names: tuple[str, ...] = NAMES) -> list[str]:
     """Return a line for each run: the digests of its trace and of its summary, and its name."""
-    return [" ".join([*_digests_of(name, seed), name]) for name in names]
+    return [" ".join([*digests_of(name, seed), name]) for name in names]
 
 
 @cache
-def _digests_of(name: str, seed: int) -> tuple[str, str]:
+def digests_of(name: str, seed: int) -> tuple[str, str]:
+    """Return the digests of the trace and of the summary of a run."""
     given = [f"horizon={HORIZON}", "record.messages=true"]
-    result = run(LONG if name == "long" else load(SCENARIOS / name, given), seed)
+    built = {"long": LONG} | RARE
+    result = run(built[name] if name in built else load(SCENARIOS / name, given), seed)
     trace, numbers = "".join(map(line_of, result.trace)), json.dumps(plain(summary(result)))
     return sha256(trace.encode()).hexdigest(), sha256(numbers.encode()).hexdigest()
 

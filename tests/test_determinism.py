@@ -14,13 +14,14 @@ from desim.kernel.core.trace_file import line_of
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli
+from desim.pursuit.motion.inertia import InertialKinematics
 from desim.scenario.players import Team
 from desim.simulation import run as run_module
 from desim.study.workers.batch import run_many
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import Poisson, SharedSeed
 from scenarios.studies.study import SCENARIOS
-from tests.digests import NAMES, digests
+from tests.digests import NAMES, digests, digests_of
 
 RELAY = SCENARIOS / "relay.toml"
 
@@ -91,6 +92,16 @@ def test_processor_dependent_rounding_differs_in_these_environments(rounded, env
 def test_other_seeds_make_other_traces_and_summaries():
     found = [digest for seed in (5, 6) for line in digests(seed, QUICK) for digest in line.split()[:2]]
     assert len(set(found)) == len(found) == 12
+
+
+@pytest.mark.slow
+def test_digests_depend_on_distances_within_a_motion_step(monkeypatch):
+    """The control: straight motion in place of curves is seen by the only run of players with inertia and a range."""
+    before = digests(0, ("curves",))
+    monkeypatch.delattr(InertialKinematics, "distances")
+    digests_of.cache_clear()
+    assert digests(0, ("curves",)) != before
+    digests_of.cache_clear()
 
 
 @pytest.mark.whole
