@@ -161,7 +161,7 @@ class Node:
         self._view = View(state, scenario.prune)
         global_state = GlobalState(state, scenario.prune, self._set_action)
         agents, judges = make_agents(env, scenario, seed, built, [self._view] * state.size, global_state, self.trace)
-        team = TeamProcesses(env, scenario, _CrashingRobot(self), {me: agents[me]}, judges, None, None)
+        self._team = team = TeamProcesses(env, scenario, _CrashingRobot(self), {me: agents[me]}, judges, None, None)
         inject(faults, env, network, crashed=team.crashed, recovered=team.recovered)
         team.begin()
         # The first use of these attributes imports and computes, which would delay the timers during the run.
@@ -268,9 +268,10 @@ class Node:
         _check_time(now)
         self.clock = WallClock(self._env, self._over, now, self._read)
         try:
-            await self.clock.ended
-            await asyncio.sleep(DRAIN)
-            self._read()
+            with self._team.closing():
+                await self.clock.ended
+                await asyncio.sleep(DRAIN)
+                self._read()
         finally:
             self.stop()
             for bound in (self._datagrams, self._mailbox):

@@ -27,7 +27,27 @@ class RestartableProcess(simpy.Process):
 
     def __init__(self, env: Clock, agent: Agent, protocol: Behaviour, phase: Phase):
         self.behaviour: Process | None = None
+        self._agent = agent
         super().__init__(env, self._behave(agent, protocol, phase))
+
+    def close(self) -> None:
+        """End the behaviour at the end of the run: its `finally` runs.
+
+        A behaviour that goes on after that, as with a bare `except`, is left to Python.
+
+        Raises:
+            Exception: any exception of the behaviour, with the notes of one that it raises during the run.
+        """
+        behaviour = self.behaviour
+        if behaviour is None:
+            return
+        try:
+            behaviour.close()
+        except (Exception, SystemExit) as error:
+            if isinstance(error, RuntimeError) and getattr(behaviour, "gi_frame", None) is not None:
+                return
+            _add_notes(error, self._agent.id, self._agent)
+            raise
 
     def _behave(self, agent: Agent, protocol: Behaviour, phase: Phase) -> Process:
         """Yield the events of the behaviour; pursuers start at time 0 in the order of ids, not of creation.

@@ -187,8 +187,24 @@ def _simulate(
         return [*([] if transported is None else [transported]), network.message_counts()]
 
     begins(Simulation(agents, state, trace, counts, end.stop))
-    team.begin()
-    world.begin()
+    with team.closing():
+        try:
+            team.begin()
+            world.begin()
+            _run_to_end(env, end, team)
+            world.sample()
+            for event in counts():
+                trace.append(event)
+            assert end.outcome is not None
+            trace.append(end.outcome)
+        finally:
+            trace.close()
+        events = len(trace)
+    del trace.events[events:]  # what a `finally` of a protocol has done after the end
+
+
+def _run_to_end(env: Clock, end: RunEnd, team: TeamProcesses) -> None:
+    """Let the events of a simulation happen up to its end; errors tell what the processes were waiting for."""
     try:
         env.run(until=end.over)
     except TimedOut as error:
@@ -200,11 +216,6 @@ def _simulate(
         notes = getattr(error, "__notes__", [])  # a `RestartableProcess` adds them to errors of its behaviour
         who = "the protocol" if notes else "code of the scenario"
         raise RuntimeError(" ".join([f"{who} called exit({value_text(error.code)})", *notes])) from error
-    world.sample()
-    for event in counts():
-        trace.append(event)
-    assert end.outcome is not None
-    trace.append(end.outcome)
 
 
 def _chasers(truth: View) -> list[int]:

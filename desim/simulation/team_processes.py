@@ -1,7 +1,9 @@
 """The processes of the pursuers of a run: protocol, dissemination, heartbeats and reports."""
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from itertools import chain
 from typing import TYPE_CHECKING, Protocol
 
 from desim.kernel.core.clock import Clock, Phase
@@ -87,6 +89,23 @@ class TeamProcesses:
             if judge is not None and interval is not None:
                 accuse = judge.report if self._liars is None else self._liars.accusing(pursuer, judge.report)
                 env.process(repeat(agent, accuse, interval, "accusations"))
+
+    @contextmanager
+    def closing(self) -> Iterator[None]:
+        """Close all processes at the end of the block, in the order of the pursuers.
+
+        What protocols do in `finally`, or at the end of a `with` block, then belongs to this run. Otherwise Python
+        would do it whenever it frees the generators, perhaps during another run.
+        """
+        try:
+            yield
+        except BaseException:
+            for process in chain.from_iterable(self.processes.values()):
+                with suppress(Exception):  # the first error counts
+                    process.close()
+            raise
+        for process in chain.from_iterable(self.processes.values()):
+            process.close()
 
     def _start_delay(self, agent: Agent) -> float:
         """Return the time, s, after which a pursuer announces its first action.
