@@ -386,6 +386,7 @@ ALLOWED = {
     "desim/testing/judging.py": {"cloudpickle.loads"},  # what it has just pickled
     "desim/view/pages/replay_columns.py": {"np.frombuffer"},  # numbers alone
     "desim/study/workers/serialization.py": {"pickle.loads", "marshal"},  # what the driver sent to its workers
+    "desim/study/plan/assigned_values.py": {"ast.literal_eval"},  # of literals in the source of an imported module
     "desim/study/comparing/suite.py": {"load"},  # of a scenario file
     "desim/study/workers/batch_system.py": {"pickle.loads"},  # what its own jobs returned
     "desim/study/workers/workers.py": {"pickle.loads"},  # what they sent back
