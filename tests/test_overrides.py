@@ -913,3 +913,17 @@ def test_a_radio_that_hears_nothing_receives_nothing():
 
     counts = run(scenario(network=Links(medium=Deaf(access=Aloha())), horizon=3.0), seed=1).trace.of(MessageCounts)[0]
     assert counts.delivered == 0 < counts.lost
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("method", [{"__bool__": lambda _: False}, {"__len__": lambda _: 0}], ids=["bool", "len"])
+@pytest.mark.parametrize("name", [name for name, family in FAMILIES.items() if family.refused is None])
+def test_a_model_that_is_false_or_empty_is_that_of_the_run(name, method):
+    family = FAMILIES[name]
+    kind = next(kind for kind in family.choice.choices().values() if not is_refused(kind))
+    base = kind(**PARAMETERS.get(kind.__name__, {}))
+    body = {"__call__": lambda _, *given: family.function(*given)}
+    names = (*family.beside, "needs_positions", "has_noise")
+    body |= {name: getattr(base, name) for name in names if hasattr(base, name)}
+    model, theirs = (type("Theirs", (), body | more)() for more in ({}, method))
+    assert events(family.with_model(theirs)) == events(family.with_model(model))

@@ -195,7 +195,7 @@ class Network(ReceivingNodes):
         walls: Sequence[Wall] = (),
         link_layer: Callable[[NetworkState, Links, LinkSampler, Trace | None, int], LinkLayer] = LinkLayer,
     ):
-        links, seed = links or Links(), seed_of(seed)
+        links, seed = Links() if links is None else links, seed_of(seed)
         self.topology = topology = Topology(
             graph,
             links.range,

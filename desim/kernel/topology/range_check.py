@@ -35,7 +35,7 @@ class RangeCheck:
     """
 
     def __init__(self, reception: ReceptionModel | None, range: float, per_link: bool, seed: int, size: int):  # noqa: A002
-        self._reception, self._range, self._per_link = reception or Disk(), range, per_link
+        self._reception, self._range, self._per_link = Disk() if reception is None else reception, range, per_link
         self._seed, self._size = seed, size
         self._is_certain, self._is_ours = type(self._reception) is Disk, is_ours(type(self._reception))
         traits = ReceptionTraits.of(self._reception)
