@@ -88,7 +88,7 @@ def run_argument(*kinds: type) -> Argument:
     instead = {
         "path": "{function}(desim.open({value})) for a folder, {function}(run(load({value}))) for a scenario file",
         "Scenario": "{function}(run(scenario))",
-        "SweepResult": "print(result), result.table() and result.plot() show a sweep",
+        "SweepResult": "result.table() and result.plot() show a sweep, and result.write('runs.csv') writes its runs",
         "list": "[{function}(result) for result in results]",
     }
     return Argument("the result of a run", kinds, MappingProxyType(instead))

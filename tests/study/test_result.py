@@ -8,6 +8,8 @@ from dataclasses import replace
 from html.parser import HTMLParser
 from math import inf, nan
 
+import numpy as np
+import pandas as pd
 import pytest
 
 from desim.analysis.measuring import summary
@@ -637,3 +639,40 @@ def test_why_a_key_of_messages_may_have_no_effect_is_said(key, is_of_messages):
     (warning,) = SweepResult("flat", (key,), tuple(groups)).warnings()
     assert f"depends on {key}: equal in 3 pairs of runs" in warning
     assert ("a protocol may need no messages" in warning) is is_of_messages
+
+
+NAMES = {
+    "an array": np.array(["active_time", "capture_time"]),
+    "columns of a frame": pd.DataFrame(columns=["active_time", "capture_time"]).columns,
+    "a series": pd.Series(["active_time", "capture_time"]),
+    "keys": {"active_time": 1, "capture_time": 2}.keys(),
+    "a generator": (name for name in ("active_time", "capture_time")),
+}
+
+
+@pytest.mark.parametrize("names", NAMES)
+def test_names_are_a_list_of_any_kind(names):
+    assert PLAIN.table(NAMES[names]) == PLAIN.table(["active_time", "capture_time"])
+
+
+def test_names_without_an_order_are_refused():
+    with pytest.raises(ValueError, match="should be a list of texts"):
+        PLAIN.table({"active_time", "capture_time"})
+
+
+def test_keys_and_labels_may_be_those_of_numpy():
+    key, *_ = PLAIN.keys
+    value = PLAIN.values(key)[0]
+    assert PLAIN.plot(by=np.array([key, key]), labels={np.float64(value): "first"}) is not None
+    for number in (value, np.float64(value)):
+        assert PLAIN.table(labels={number: "first"}) == PLAIN.table(labels={f"{value:g}": "first"})
+
+
+def test_the_number_of_a_reference_may_be_that_of_numpy():
+    assert PLAIN.differences("active_time", np.int64(1)) == PLAIN.differences("active_time", 1)
+
+
+@pytest.mark.parametrize("option", ["xlabel", "ylabel"])
+def test_the_label_of_an_axis_is_a_text(option):
+    with pytest.raises(ValueError, match=r"the label of the (abscissa|ordinate) should be a text"):
+        PLAIN.plot(**{option: 3})

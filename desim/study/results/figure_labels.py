@@ -15,7 +15,7 @@ from desim.config.escaping import escaped
 from desim.config.key_index import unit_of_key
 from desim.scenario.scenario import Scenario
 from desim.study.plan.configurations import in_words
-from desim.study.results.runs import Group, SweepRuns, is_number, text
+from desim.study.results.runs import Group, SweepRuns, check_label, is_number, text
 
 MAX_ABREAST = 3
 """The largest number of panels side by side."""
@@ -100,7 +100,14 @@ def literal(name: str) -> str:
 
 
 def label_axes(axes: Axes, xlabel: str | None, ylabel: str | None) -> None:
-    """Set the labels that are given, and let all labels wrap where the figure is too small for them."""
+    """Set the labels that are given, and let all labels wrap where the figure is too small for them.
+
+    Raises:
+        ValueError: if a label is no text.
+    """
+    for name, label in (("the abscissa", xlabel), ("the ordinate", ylabel)):
+        if label is not None:
+            check_label(name, label)
     if xlabel is not None:
         axes.set_xlabel(escaped(xlabel))
     if ylabel is not None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 
 from desim.analysis.metrics import METRICS
 from desim.analysis.table_formats import SUFFIXES, Table, TableFormat, TabularResult, formatted
-from desim.config.arguments import HintedAttributes, naming_arguments, value_text, without_addresses
+from desim.config.arguments import HintedAttributes, naming_arguments, value_text
 from desim.config.extras import naming_extras
 from desim.config.whole_files import write_whole
 from desim.study.results import export
@@ -142,6 +142,7 @@ class SweepResult(TabularResult, SweepRuns, HintedAttributes):
         from desim.study.results.figures import means
         from desim.study.results.heat_maps import phase
 
+        by = names_of_metrics(by)
         kinds = {"means": means, "phase": phase, "scatter": scatter, "contour": contour}
         of_means = {"x": x, "by": by, "against": against, "labels": labels}
         # An option that only the kind means has selects this kind.
@@ -191,15 +192,11 @@ class SweepResult(TabularResult, SweepRuns, HintedAttributes):
             ValueError: if the sweep has no such metric, there is no such format, or a label or a column to be left out
                 belongs to nothing in the tables.
         """
-        without = names_of_metrics(without)
-        names: Mapping[Any, Any] = labels
-        if no_text := [name for name, text in names.items() if not isinstance(text, str)]:
-            name, label = without_addresses(str(no_text[0])), value_text(labels[no_text[0]])
-            raise ValueError(f"the label of {name} should be a text (got {label})")
-        notes = sweep_tables.notes(self, names_of_metrics(metrics))
+        metrics, without = names_of_metrics(metrics), names_of_metrics(without)
+        notes = sweep_tables.notes(self, metrics)
         tables = self.tables(metrics, against=against)
         if labels or without:
-            tables = sweep_tables.relabelled(self, tables, names_of_metrics(metrics), labels, without)
+            tables = sweep_tables.relabelled(self, tables, metrics, labels, without)
         key_columns = len(self.keys) - sum(key in without for key in self.keys)
         return formatted(tables, notes, format, right_from=key_columns)
 
@@ -322,6 +319,7 @@ class SweepResult(TabularResult, SweepRuns, HintedAttributes):
             ImportError: if a package for Parquet is not installed.
             OSError: if the file cannot be written.
         """
+        without = names_of_metrics(without)
         if (path := Path(file)).suffix in SUFFIXES:
             table = self.table(metrics, format=SUFFIXES[path.suffix], labels=labels, without=without)
             write_whole(path, f"{table}\n".encode())

@@ -15,6 +15,7 @@ from desim.analysis.statistics import Estimate, mean, paired, share
 from desim.config.arguments import value_text, without_addresses
 from desim.config.arrays import Floats
 from desim.config.number_texts import counted
+from desim.config.python_numbers import as_python
 from desim.config.suggestion import close_to
 from desim.study.plan.configurations import in_words, label
 from desim.study.store.run_table import EXACT, Row, RunTable
@@ -168,15 +169,17 @@ class SweepRuns:
         Raises:
             ValueError: if a configuration has no reference.
         """
-        if isinstance(reference, int) and not isinstance(reference, bool):
-            if not -len(self.groups) <= reference < len(self.groups):
-                raise ValueError(f"there is no configuration {reference}: they are 0 .. {len(self.groups) - 1}")
-            return [reference] * len(self.groups)
+        position = as_python(reference)
+        if type(position) is int:
+            if not -len(self.groups) <= position < len(self.groups):
+                raise ValueError(f"there is no configuration {position}: they are 0 .. {len(self.groups) - 1}")
+            return [position] * len(self.groups)
         if reference is None:
             return self.first_along(self.compared_by)
         if not isinstance(reference, Mapping):
             raise ValueError(
-                f'a reference should be a mapping, such as {{"protocol": "sap"}} (got {value_text(reference)})'
+                'a reference should be a mapping, such as {"protocol": "sap"}, or the number of a configuration (got'
+                f" {value_text(reference)})"
             )
         wanted = {key: self.setting(key, value) for key, value in reference.items()}
         positions = {repr(dict(group.settings)): k for k, group in enumerate(self.groups)}
@@ -356,13 +359,15 @@ def is_number(value: Any) -> TypeGuard[float]:
 
 
 def names_of_metrics(metrics: Sequence[str]) -> Sequence[str]:
-    """Return the names of metrics, or of columns; a single name may be given without a list.
+    """Return the names of metrics, of columns or of keys; a single name may be given without a list.
+
+    Any ordered collection of names is accepted, such as an array, the columns of a frame or the keys of a dict.
 
     Raises:
         ValueError: if the names are no list of texts.
     """
-    names: Any = [metrics] if isinstance(metrics, str) else metrics
-    if not isinstance(names, Sequence) or not all(isinstance(name, str) for name in names):
+    names: Any = [metrics] if isinstance(metrics, str) else as_python(metrics)
+    if not isinstance(names, list | tuple) or not all(isinstance(name, str) for name in names):
         raise ValueError(
             f"names of metrics or columns should be a list of texts, ['active_time'] (got {value_text(metrics)})"
         )
@@ -396,8 +401,11 @@ def labels_of_values(result: SweepRuns, labels: Mapping[str, str], names: Collec
         names: what else may have a label.
 
     Raises:
-        ValueError: if a label belongs to nothing, or to a kind that several values have.
+        ValueError: if a label is no text, or belongs to nothing, or to a kind that several values have.
     """
+    labels = {text(name): label_of_name for name, label_of_name in labels.items()}  # numbers are given as such, too
+    for name, label_of_name in labels.items():
+        check_label(name, label_of_name)
     settings = [value for key in result.keys for value in result.values(key)]
     values = set(map(text, settings))
     labels = {
@@ -412,6 +420,12 @@ def labels_of_values(result: SweepRuns, labels: Mapping[str, str], names: Collec
         raise ValueError(f"{problem} {name}, which has a label; values: {', '.join(sorted(values))}")
     of_kinds = {value: labels[kind] for value in values if (kind := kind_of(value)) in labels and kind not in values}
     return {**of_kinds, **labels}
+
+
+def check_label(name: str, label_of_name: Any) -> None:
+    """Raise ValueError if the label of a value, a key or an axis is no text."""
+    if not isinstance(label_of_name, str):
+        raise ValueError(f"the label of {without_addresses(name)} should be a text (got {value_text(label_of_name)})")
 
 
 def kind_of(value: str) -> str:

@@ -136,9 +136,9 @@ def export(result: Result | StreamedResult, file: str | PathLike[str], exporter:
     """
     FILE.check(file, "export")
     file = Path(file)
-    chosen = exporter_for(file, exporter, allow_import=True)
     if not hasattr(result, "trace"):  # any object with a trace may be exported
         run_argument(Result, StreamedResult).check(result, "export")
+    chosen = exporter_for(file, exporter, allow_import=True)
     required = ExporterTraits.of(chosen).requires
     with replacing(file) as part, fresh_copy({"exporter": chosen}) as copied:  # an exporter may have state
         if part != file:  # not a device or a pipe
