@@ -310,6 +310,7 @@ PRIVATE = {
     "desim.cli.program": {"click.echo.__code__"},
     "desim.config.choice": {"SchemaValidator", "__pydantic_core_schema__"},
     "desim.config.data_files": {"_getframe"},
+    "desim.config.model": {"_parent_namespace_depth"},
     "desim.kernel.core.body_content": {"_slotnames"},
     "desim.kernel.core.clock": {"_eid", "_events", "_generator", "_now", "_ok", "_queue", "_value", "simpy.core"},
     "desim.kernel.models.implicit_complete": {"_adj", "_node", "_pred"},

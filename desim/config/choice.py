@@ -24,6 +24,7 @@ from desim.config.answers import name_and_place
 from desim.config.arguments import value_text
 from desim.config.calls import check_at_once, check_call, check_method
 from desim.config.error_texts import text_of
+from desim.config.interrupts import deferred
 from desim.config.model_parts import markers_of
 from desim.config.named_code import (
     IMPORTED,
@@ -163,7 +164,9 @@ class OneOf:
         kind = table.get("kind") if isinstance(table, dict) else None
         model = self.choice(kind) if isinstance(kind, str) else None
         if model is None:  # a model in place of a table, or an unknown kind, whose error lists all kinds
-            made = SchemaValidator(_union(self.choices())).validate_python(table, context=info.context)
+            with deferred():  # see `Value.model_rebuild`
+                validator = SchemaValidator(_union(self.choices()))
+            made = validator.validate_python(table, context=info.context)
         else:
             made = model.model_validate(table, context=info.context)
         self.traits.check(made)

@@ -154,6 +154,16 @@ class Value(BaseModel, metaclass=_ValueType):
                     code="model-field-overridden",
                 )
 
+    @classmethod
+    def model_rebuild(cls, *, _parent_namespace_depth: int = 2, **options: Any) -> bool | None:
+        """Build the schema, see `pydantic.BaseModel.model_rebuild`, which pydantic calls at the first use of a class.
+
+        Interrupts are deferred: pydantic drops one that is raised while it compiles a pattern, or wraps it in another
+        exception.
+        """
+        with deferred():
+            return super().model_rebuild(_parent_namespace_depth=_parent_namespace_depth + 1, **options)
+
     @model_validator(mode="wrap")  # outside of all validators of mode "before", which then see Python's numbers only
     @classmethod
     def _with_python_numbers(cls, fields: Any, make: ModelWrapValidatorHandler[Self]) -> Self:

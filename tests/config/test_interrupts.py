@@ -6,6 +6,7 @@ from typing import Annotated
 
 import pytest
 from pydantic import BaseModel, Discriminator, Tag
+from pydantic_core import core_schema
 
 from desim.config.interrupts import Terminated, deferred, exit_code, raising
 from desim.config.model import Value
@@ -33,6 +34,41 @@ def test_an_interrupt_of_a_serialization_is_raised_after_it():
         with pytest.raises(KeyboardInterrupt):
             getattr(Held(), name)()
         getattr(BaseModel, name)(Held())
+
+
+def test_an_interrupt_while_the_schema_of_a_model_is_built_is_raised_after_it():
+    """Pydantic drops one that is raised while it compiles a pattern, or wraps it in another exception."""
+    built = []
+
+    class Interrupting:
+        @classmethod
+        def __get_pydantic_core_schema__(cls, *_):
+            signal.raise_signal(signal.SIGINT)
+            built.append(cls)
+            return core_schema.any_schema()
+
+    class Model(Value):
+        key: Interrupting
+
+    with pytest.raises(KeyboardInterrupt):
+        Model(key=1)
+    assert built == [Interrupting]
+    assert Model(key=1).key == 1
+
+
+def test_a_schema_is_rebuilt_with_the_names_where_it_is_asked_for():
+    def model():
+        class Model(Value):
+            later: "Later"
+
+        return Model
+
+    class Later(Value):
+        pass
+
+    kind = model()
+    assert kind.model_rebuild()
+    assert kind(later={}).later == Later()
 
 
 def test_the_first_of_several_signals_is_raised_when_the_outermost_block_ends():

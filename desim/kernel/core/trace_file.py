@@ -26,6 +26,7 @@ from pydantic_core import to_json
 
 from desim.config.arguments import value_text
 from desim.config.error_texts import text_of
+from desim.config.interrupts import deferred
 from desim.config.json_numbers import field_names, has_plain
 from desim.config.whole_files import open_no_link
 from desim.kernel.core.body_content import JSON_ATOMS, Fields, content, converts_itself, in_json_types
@@ -323,7 +324,8 @@ def _reader(kind: Any, limits: Limits) -> Callable[[Any], Event]:
     """Return a function that validates the fields of a JSON object and creates an event of a type."""
     fields = [(name, _as_read(hint, limits)) for name, hint in get_type_hints(kind, include_extras=True).items()]
     make: Any = NamedTuple
-    validate = TypeAdapter(make(kind.__name__, fields)).validator.validate_python
+    with deferred():  # see `Value.model_rebuild`
+        validate = TypeAdapter(make(kind.__name__, fields)).validator.validate_python
     return lambda values: kind._make(validate(values))
 
 

@@ -14,6 +14,7 @@ from typing import Self
 
 from pydantic import TypeAdapter, ValidationError
 
+from desim.config.interrupts import deferred
 from desim.config.whole_files import write_whole
 
 RECORD = "submit.json"
@@ -69,7 +70,9 @@ class ArrayJob:
         except FileNotFoundError:
             return None
         try:
-            fields = TypeAdapter(cls).validate_json(content, strict=True)
+            with deferred():  # see `Value.model_rebuild`
+                adapter = TypeAdapter(cls)
+            fields = adapter.validate_json(content, strict=True)
         except ValidationError as error:
             place = ".".join(map(str, error.errors(include_url=False)[0]["loc"])) or "it"
             raise ValueError(f"{path}: is damaged: {place} cannot be read; remove the file and submit again") from None
