@@ -6,10 +6,11 @@ copy and the original share them. See `desim.config.fresh`.
 
 import pickle
 import queue
+import random
 import threading
 from collections.abc import Iterator
 from contextvars import ContextVar
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from io import BytesIO
 from itertools import count, repeat
 from types import CellType, FunctionType, GeneratorType, MappingProxyType, MethodType
@@ -136,13 +137,35 @@ class Describer(Copier):
         try:
             reduced = super().reducer_override(value)
             if reduced is NotImplemented:
-                value.__reduce_ex__(5)  # raises if the object cannot be copied
+                reduced = _without_cached(value, value.__reduce_ex__(5))  # raises if the object cannot be copied
         except Exception:  # code of an object may raise anything
             is_first = isinstance(value, Iterator) and id(value) not in _described
             if is_first:
                 _described[id(value)] = value
             return list, ([id(value), is_first],)
         return reduced
+
+
+ADVANCING = (Iterator, random.Random, np.random.Generator, np.random.RandomState)
+"""The types of objects of which each reading changes the next one."""
+
+
+def _without_cached(value: Any, reduced: Any) -> Any:
+    """Return how to describe an object without its cached properties, which follow from the rest when they are read.
+
+    Graphs of networkx have some. What advances when it is read, such as a random generator, stays. NotImplemented if
+    the object has no cached property.
+    """
+    kind = type(value)
+    attributes = reduced[2] if isinstance(reduced, tuple) and len(reduced) > 2 else None
+    if not isinstance(attributes, dict):
+        return NotImplemented
+    rest = {
+        name: item
+        for name, item in attributes.items()
+        if type(getattr(kind, name, None)) is not cached_property or isinstance(item, ADVANCING)
+    }
+    return (*reduced[:2], rest or None, *reduced[3:]) if len(rest) < len(attributes) else NotImplemented
 
 
 SHARED_TYPES = (threading.local, ContextVar, queue.Queue, queue.SimpleQueue)

@@ -917,6 +917,42 @@ def test_a_memo_and_a_report_are_not_warned_of():
     assert seen.qsize() > 0
 
 
+class Computing:
+    """An object that computes a table when it is first read, and a generator that is drawn from."""
+
+    @functools.cached_property
+    def table(self):
+        return [1j]
+
+    @functools.cached_property
+    def generator(self):
+        return np.random.default_rng(1)
+
+
+COMPUTING, DRAWING = Computing(), Computing()
+READ_GRAPH = networkx.path_graph(3)
+READS = {
+    "a cached property": lambda: COMPUTING.table[0],
+    "nodes": lambda: READ_GRAPH.nodes[1],
+    "neighbours": lambda: READ_GRAPH.adj[1],
+    "degrees": lambda: READ_GRAPH.degree[1],
+    "edges": lambda: READ_GRAPH.edges[0, 1],
+}
+
+
+@pytest.mark.parametrize("read", READS.values(), ids=READS)
+def test_what_an_object_computes_when_it_is_read_is_not_warned_of(read):
+    for _ in range(3):  # a warning is an error
+        run(brief(doing(read)), 1)
+
+
+def test_a_generator_in_a_cached_property_is_warned_of():
+    scenario = brief(lambda state, rng: 1j * DRAWING.generator.uniform())
+    run(scenario, 1)
+    with pytest.warns(StateWarning, match=r"\.DRAWING: an earlier run has changed it"):
+        run(scenario, 1)
+
+
 class Compiled(type):
     """The type of a class whose module is no text, as that of a class that Cython has compiled."""
 
