@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from keyword import iskeyword
 from math import isnan
 from sys import float_info
 from types import MappingProxyType
@@ -16,7 +15,7 @@ from desim.config.errors import MetricError, NoMetricError
 from desim.config.fresh import fresh_copy
 from desim.config.python_numbers import as_python
 from desim.config.suggestion import did_you_mean
-from desim.scenario.named_metrics import NamedMetric
+from desim.scenario.named_metrics import NamedMetric, check_metric_name
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result
 
@@ -92,8 +91,7 @@ def users_metrics(named: Sequence[NamedMetric], more: Metrics = MappingProxyType
     metrics: dict[str, Metric] = {}
     pairs: list[tuple[Any, Any]] = [*((metric.name, metric.of) for metric in named), *functions.items()]
     for name, of in pairs:
-        if not (isinstance(name, str) and name.isascii() and name.isidentifier()) or iskeyword(name):
-            raise ValueError(f"the name of a metric should be a Python identifier in ASCII, got {value_text(name)}")
+        check_metric_name(name)
         key = name.lower()  # SQL does not tell cases apart
         if key in METRICS or key in COLUMNS or key in Scenario.model_fields:
             taken = "built-in metric" if key in METRICS else "column of tables" if key in COLUMNS else "scenario key"

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
+from keyword import iskeyword
 from types import FunctionType
 from typing import Annotated, Any
 
@@ -63,6 +64,7 @@ def _named(value: Any, info: ValidationInfo) -> NamedMetric:
         return value
     if isinstance(value, FunctionType):
         _check_called(value.__name__, value)
+        check_metric_name(value.__name__)
         return NamedMetric(name=value.__name__, given=import_name(value), of=value)
     if not isinstance(value, str):
         also = "; `sweep` and `summary` take any callable as metrics={NAME: callable}" if callable(value) else ""
@@ -71,6 +73,7 @@ def _named(value: Any, info: ValidationInfo) -> NamedMetric:
         )
     if value.startswith(MARGIN):
         name = value.removeprefix(MARGIN)
+        check_metric_name(name)
         return NamedMetric(name=name, given=value, of=PropertyMargin(name))
     if ":" in value:
         name, of = value.rpartition(":")[2], named_in_file(value, info)
@@ -83,7 +86,19 @@ def _named(value: Any, info: ValidationInfo) -> NamedMetric:
             " metrics are in every summary"
         )
     _check_called(value, of)
+    check_metric_name(name)
     return NamedMetric(name=name, given=value, of=of)
+
+
+def check_metric_name(name: Any) -> None:
+    """Raise ValueError if a metric cannot have a name, because it could be no column of a table.
+
+    A lambda has such a name: give it another one in `metrics={NAME: callable}` of `sweep` and `summary`.
+    """
+    if not (isinstance(name, str) and name.isascii() and name.isidentifier()) or iskeyword(name):
+        is_lambda = name == "<lambda>"
+        hint = ": define it with def, or give it a name, metrics={'late': lambda result: ...}" if is_lambda else ""
+        raise ValueError(f"the name of a metric should be a Python identifier in ASCII, got {value_text(name)}{hint}")
 
 
 def _check_called(name: str, of: Any) -> None:

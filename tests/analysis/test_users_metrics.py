@@ -116,6 +116,18 @@ def test_a_name_that_is_taken_or_no_identifier_is_refused(result, name, said):
         summary(result, {name: half})
 
 
+def größe(result):
+    return 1.0
+
+
+@pytest.mark.parametrize("metric", [lambda result: 1.0, größe, f"{__name__}:größe", "margin:as it should"])
+def test_a_metric_that_can_have_no_column_is_refused_before_a_run(metric):
+    with pytest.raises(
+        ValueError, match=r"metrics.0: the name of a metric should be a Python identifier in ASCII, got"
+    ):
+        Recording(metrics=[metric])
+
+
 def test_names_that_differ_only_in_case_are_refused(result):
     """SQL would not tell them apart."""
     with pytest.raises(ValueError, match="'late' should have another name: it differs from 'Late' only in case"):
