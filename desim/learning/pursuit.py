@@ -227,7 +227,8 @@ class Pursuit:
         number = as_python(action)
         if number is None or not self.action_spaces[agent].contains(number):
             raise ValueError(
-                f"{agent}: an action should be from 0 to {len(self.scenario.evaders)} (got {value_text(action)})"
+                f"{agent}: an action should be an integer from 0 to {len(self.scenario.evaders)}"
+                f" (got {value_text(action)})"
             )
         return int(number)
 

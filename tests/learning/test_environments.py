@@ -479,7 +479,7 @@ def test_wrong_actions_are_refused():
     env = desim.env(small(), 1)
     env.reset()
     for action in (2, -1, 0.5, None, "1", [1], np.array([1]), float("nan")):
-        with pytest.raises(ValueError, match="an action should be from 0 to 1"):
+        with pytest.raises(ValueError, match="an action should be an integer from 0 to 1"):
             env.step(action)
     parallel = desim.parallel_env(small(), 1)
     parallel.reset()
