@@ -241,3 +241,33 @@ def test_a_metric_may_return_any_kind_of_number():
     metrics = {"a": lambda result: Fraction(1, 4), "b": lambda result: np.array(2), "c": lambda result: Decimal("0.5")}
     numbers = summary(run(SHORT, 1), metrics)
     assert [(numbers[name], type(numbers[name])) for name in metrics] == [(0.25, float), (2, int), (0.5, float)]
+
+
+PARTS = nx.Graph([(0, 3), (1, 2)])
+UNORDERED = {
+    "sets of networkx": nx.connected_components(PARTS),
+    "a list of sets": [{3, 0}, {2, 1}],
+    "frozen sets": (frozenset({3, 0}), frozenset({1, 2})),
+    "integers of numpy": [{np.int64(3), np.int64(0)}, {np.int64(1), 2}],
+}
+
+
+@pytest.mark.parametrize("groups", UNORDERED)
+def test_the_groups_of_a_partition_may_be_sets(groups):
+    partition = desim.Partition(groups=UNORDERED[groups], start=0.1, end=0.2)
+    assert partition == desim.Partition(groups=[[0, 3], [1, 2]], start=0.1, end=0.2)
+    assert SHORT.with_({"team.count": 4, "fault": [partition]}).fault == (partition,)
+
+
+def test_nodes_whose_order_has_no_effect_may_be_a_set():
+    assert desim.Slander(node=0, start=0.0, accused={2, 1}).accused == (1, 2)
+    assert desim.LoRa(gateways={2, 0}, access="aloha").gateways == (0, 2)
+    assert SHORT.with_({"fault": [{"kind": "partition", "groups": [{0}, {2, 1}], "start": 0.1, "end": 0.2}]})
+    for wrong in ({"a", 1}, {1.5}, {(0, 1)}):
+        with pytest.raises(ValueError, match="which has no order"):
+            desim.Slander(node=0, start=0.0, accused=wrong)
+
+
+def test_a_list_whose_order_counts_is_no_set():
+    with pytest.raises(ValueError, match="which has no order"):
+        desim.Tdma(slots={2, 1})

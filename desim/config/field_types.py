@@ -78,6 +78,10 @@ class FirstError(FailFast):
         return hash(type(self))
 
 
+class AnyOrder:
+    """Marks a list of integers whose order has no effect: a set is accepted, too, and sorted."""
+
+
 class NotEmpty:
     """Marks a list that has at least one item.
 

@@ -4,7 +4,8 @@ A number is an `int` if it counts (`operator.index`), and a `float` if it measur
 a boolean stays a boolean, and a text stays a text, so strict types refuse the same values as before the conversion. A
 value that is neither a number nor a list is returned unchanged, for the field that receives it to judge.
 
-A field that is a list refuses a set, which has no order, and an iterator without an end, such as `itertools.cycle`.
+A field that is a list refuses a set, which has no order, unless the order has no effect (`AnyOrder`), and an iterator
+without an end, such as `itertools.cycle`.
 Columns and fields with the names of coordinates (`desim.config.column_names`) are brought into the order t, x, y. A
 text with half of a surrogate pair raises UnicodeEncodeError, because no file can hold it; a name with undecodable bytes
 on a command line is such a text.
@@ -16,6 +17,7 @@ from itertools import chain, count, cycle, islice, repeat
 from math import isinf, nan
 from numbers import Complex, Integral, Real
 from operator import index, length_hint
+from types import GeneratorType
 from typing import Any
 
 from desim.config.arguments import value_text
@@ -66,7 +68,22 @@ def as_python(value: Any) -> Any:
         return _of_array(value)
     if isinstance(value, LISTS):
         return value if isinstance(value, TEXTS) else _items(value)
-    return _Refused(f"the set {value!r}, which has no order: give a list") if isinstance(value, Set) else value
+    return _RefusedSet(value) if isinstance(value, Set) else value
+
+
+def sorted_sets(value: Any) -> Any:
+    """Return a value in which each set of integers is a sorted list, also in a list of sets.
+
+    It is for fields whose order has no effect, such as the groups of a partition, which networkx returns as sets. A set
+    with other items stays as it is, so that `as_python` refuses it.
+    """
+    if isinstance(value, _RefusedSet):  # the set was in a table, whose own conversion does not know the field
+        value = value.value
+    if isinstance(value, Set):
+        return sorted(value) if all(isinstance(item, Integral) for item in value) else value
+    if isinstance(value, GeneratorType):
+        value = list(islice(value, MAX_ITEMS))
+    return [sorted_sets(item) for item in value] if type(value) in ROWS else value
 
 
 class _Refused:
@@ -80,6 +97,14 @@ class _Refused:
 
     def __repr__(self) -> str:
         return self._text
+
+
+class _RefusedSet(_Refused):
+    """Stands for a set, which fields whose order has no effect accept all the same: see `sorted_sets`."""
+
+    def __init__(self, value: Set[Any]):
+        super().__init__(f"the set {value!r}, which has no order: give a list")
+        self.value = value
 
 
 def why_no_text(error: UnicodeEncodeError) -> str:

@@ -205,7 +205,7 @@ SETS = [
     (RecordedMotion, {"waypoints": {(0.0, 1.0, 1.0), (1.0, 2.0, 2.0)}}),
     (RecordedFlow, {"velocities": frozenset({(0.0, 1.0, 1.0)})}),
     (Empirical, {"values": {0.1, 0.2}}),
-    (Partition, {"start": 0.0, "groups": [{0, 1}]}),
+    (Partition, {"start": 0.0, "groups": {frozenset({0}), frozenset({1})}}),
     (Scenario, {"fault": set()}),
 ]
 

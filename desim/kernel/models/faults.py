@@ -18,7 +18,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from desim.config.answers import wrong_answer
 from desim.config.calls import check_call
-from desim.config.model import Coordinate, Extent, FirstError, Flag, Length, NotEmpty, Time, Value
+from desim.config.model import AnyOrder, Coordinate, Extent, FirstError, Flag, Length, NotEmpty, Time, Value
 from desim.config.traits import inherits, positions
 from desim.kernel.core.events import Cause
 from desim.kernel.models.graphs import Node
@@ -233,7 +233,7 @@ class Partition(Fault):
     """Groups of nodes cannot communicate with each other."""
 
     kind: Literal["partition"] = "partition"
-    groups: Annotated[tuple[Annotated[tuple[Node, ...], FirstError()], ...], FirstError(), NotEmpty()]
+    groups: Annotated[tuple[Annotated[tuple[Node, ...], FirstError()], ...], FirstError(), NotEmpty(), AnyOrder()]
     """Lists of nodes; nodes in no list form one more group."""
 
     breaks: ClassVar[frozenset[str]] = frozenset({"undivided"})
@@ -319,7 +319,7 @@ class MessageFault(Fault):
     kind: Literal["message_fault"] = "message_fault"
     start: Time = 0.0
     """Start time, s."""
-    messages: Annotated[tuple[Annotated[int, Field(ge=1, strict=True)], ...], FirstError(), NotEmpty()]
+    messages: Annotated[tuple[Annotated[int, Field(ge=1, strict=True)], ...], FirstError(), NotEmpty(), AnyOrder()]
     """The numbers of the messages, from 1 on."""
     delay: Extent = inf
     """Time by which the messages arrive late, s; inf = never.

@@ -11,7 +11,7 @@ from desim.config.answers import wrong_answer
 from desim.config.arrays import Bools, Integers
 from desim.config.choice import OneOf
 from desim.config.errors import KeyedError, Problem
-from desim.config.model import MAX_TIME, FirstError, Flag, Limit, Value
+from desim.config.model import MAX_TIME, AnyOrder, FirstError, Flag, Limit, Value
 from desim.config.number_texts import counted
 from desim.config.python_numbers import as_real
 from desim.config.traits import inherits, is_ours
@@ -201,7 +201,7 @@ class LoRa(Radio):
     """SF of each node, for nodes that contend; if None, all have `spreading_factor`."""
     frequencies: Annotated[tuple[Annotated[float, Field(gt=0, le=1e12, strict=True)], ...], FirstError()] | None = None
     """Carrier frequency of each node, Hz, for nodes that contend; if None, all are equal."""
-    gateways: Annotated[tuple[Node, ...], FirstError()] | None = None
+    gateways: Annotated[Annotated[tuple[Node, ...], FirstError()] | None, AnyOrder()] = None
     """Nodes that hear all spreading factors and frequencies, for nodes that contend. Each other node has one radio: it
     hears only frames with its own spreading factor and a frequency within a quarter of the bandwidth of its own. It
     loses other frames ("tuning"). If None, all nodes are gateways."""

@@ -19,7 +19,7 @@ from pydantic import model_validator
 
 from desim.config.answers import wrong_answer
 from desim.config.choice import OneOf
-from desim.config.model import Duration, Extent, FirstError, Flag, NotEmpty, Probability, Rate, Value
+from desim.config.model import AnyOrder, Duration, Extent, FirstError, Flag, NotEmpty, Probability, Rate, Value
 from desim.config.python_numbers import as_complex, real
 from desim.config.traits import check_inherited_flag, kind_of
 from desim.kernel.core.seeds import pair_uniform, stream
@@ -236,7 +236,7 @@ class Slander(ByzantineFault):
     """A pursuer accuses given teammates in place of those that it distrusts (`announce.trust` "accusations")."""
 
     kind: Literal["slander"] = "slander"
-    accused: Annotated[tuple[Node, ...], FirstError(), NotEmpty()]
+    accused: Annotated[tuple[Node, ...], FirstError(), NotEmpty(), AnyOrder()]
     """The teammates that it accuses."""
 
     def named(self) -> NamedNodes:
