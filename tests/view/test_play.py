@@ -12,12 +12,12 @@ import subprocess
 import sys
 import time
 import tomllib
-from concurrent.futures import Future
-from contextlib import closing, contextmanager, suppress
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack, closing, contextmanager, suppress
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
-from threading import Thread
+from threading import Event, Thread
 from types import SimpleNamespace
 from typing import ClassVar
 from urllib.parse import urlsplit
@@ -687,6 +687,30 @@ def test_a_comparison_arrives_pair_by_pair(server):
     answers = [json.loads(ask(path + name, body)[2]) for name in ("seeds", "more", "more", "more")]
     assert [answer.get("done") for answer in answers] == [1, 2, None, None]
     assert "team.count" in json.loads(ask(f"{path}seeds", body | {"now": ["team.count=0"]})[2])["error"]
+
+
+def test_requests_at_the_same_time_get_different_answers_of_a_comparison(server):
+    """Two changes in a row begin two comparisons, and both requests may ask for the first answer of the second one."""
+    release = Event()
+
+    def answers():
+        for done in range(1, 9):
+            release.wait(10.0)
+            yield {"done": done}
+
+    server.begin_comparison("a", answers())
+    with ThreadPoolExecutor(9) as pool:
+        asked_for = [pool.submit(server.next_of_comparison, "a") for _ in range(9)]
+        release.set()
+    assert sorted(each.result().get("done", 0) for each in asked_for) == list(range(9))
+    assert server.next_of_comparison("a") == {}
+
+
+def test_many_connections_wait_until_they_are_accepted(small):
+    """Those for which there is no room are tried again by the system a second later, or reset."""
+    with PlayServer(Session(small, InProcess())) as idle, ExitStack() as connections:
+        for _ in range(60):
+            connections.enter_context(socket.create_connection(idle.server_address, timeout=0.9))
 
 
 def test_comparisons_of_pages_that_were_closed_are_dropped(server, monkeypatch):

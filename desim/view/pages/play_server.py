@@ -55,6 +55,7 @@ class PlayServer(ThreadingHTTPServer):
     """
 
     daemon_threads = True
+    request_queue_size = 128  # when a browser is started again, all its tabs ask at once
 
     def __init__(self, session: Session):
         super().__init__(("127.0.0.1", 0), _Handler)
@@ -64,7 +65,7 @@ class PlayServer(ThreadingHTTPServer):
         self._pages, self._closed_at = 0, float("inf")
         """The number of open pages, or of browsers with open pages, and the time at which the last was closed, s."""
         self._lock = threading.Lock()
-        self._comparisons: dict[str, Iterator[Answer]] = {}
+        self._comparisons: dict[str, Comparison] = {}
         """By page, the comparison whose next answers the page will ask for."""
         self._incoming: dict[socket.socket, float] = {}
         """By connection, the time at which its request must have arrived."""
@@ -97,18 +98,18 @@ class PlayServer(ThreadingHTTPServer):
         """Keep a comparison, in place of an earlier one of the same page."""
         with self._lock:
             self._comparisons.pop(page, None)
-            self._comparisons[page] = answers
+            self._comparisons[page] = Comparison(answers)
             if len(self._comparisons) > MAX_COMPARISONS:
                 del self._comparisons[next(iter(self._comparisons))]
 
     def next_of_comparison(self, page: str) -> Answer:
         """Return the next answer of the comparison of a page; after the last answer, an empty one."""
-        answers = self._comparisons.get(page, iter(()))
-        answer = next(answers, None)
+        comparison = self._comparisons.get(page)
+        answer = {} if comparison is None else comparison.next_answer()
         with self._lock:
-            if answer is None and self._comparisons.get(page) is answers:  # no newer comparison has begun
+            if not answer and self._comparisons.get(page) is comparison is not None:  # no newer comparison has begun
                 del self._comparisons[page]
-        return answer or {}
+        return answer
 
     def page_opened(self) -> None:
         """Note that one more page, or one more browser with pages, is open."""
@@ -137,6 +138,22 @@ class PlayServer(ThreadingHTTPServer):
         """Ignore an OSError, because it occurs when the browser has closed the connection. Report any other error."""
         if not isinstance(sys.exc_info()[1], OSError):
             super().handle_error(request, client_address)  # type: ignore[arg-type]
+
+
+class Comparison:
+    """The answers of a comparison, of which requests in several threads may ask for the next: each gets another one.
+
+    Args:
+        answers: computed one by one.
+    """
+
+    def __init__(self, answers: Iterator[Answer]):
+        self._answers, self._lock = answers, threading.Lock()
+
+    def next_answer(self) -> Answer:
+        """Return the next answer, when those that were asked for before are computed; after the last, an empty one."""
+        with self._lock:
+            return next(self._answers, {})
 
 
 class _Handler(BaseHTTPRequestHandler):
