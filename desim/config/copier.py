@@ -142,6 +142,8 @@ class Describer(Copier):
             is_first = isinstance(value, Iterator) and id(value) not in _described
             if is_first:
                 _described[id(value)] = value
+                if len(_described) > MAX_DESCRIBED:
+                    del _described[next(iter(_described))]
             return list, ([id(value), is_first],)
         return reduced
 
@@ -170,6 +172,12 @@ def _without_cached(value: Any, reduced: Any) -> Any:
 
 SHARED_TYPES = (threading.local, ContextVar, queue.Queue, queue.SimpleQueue)
 """The types of objects that copies share, although what they hold changes."""
+MAX_DESCRIBED = 10_000
+"""Number of iterators that are kept after their description, the newest ones.
+
+An iterator that is no longer kept has the description of a new one again. So a run that describes more iterators than
+these before it ends does not warn of the oldest of them.
+"""
 _described: dict[int, Any] = {}
 """The iterators that were described, by `id`; they are kept, so that no other object gets the `id` of one of them."""
 

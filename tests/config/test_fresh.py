@@ -30,6 +30,7 @@ import desim
 import protocols
 from desim import Evader, Scenario, Team, run, summary, sweep
 from desim.analysis.metrics import Metric
+from desim.config import copier
 from desim.config.choice import choices_of
 from desim.config.fresh import Remembered, StateError, fresh_copy
 from desim.config.shared_state import StateWarning
@@ -1119,6 +1120,16 @@ def test_an_iterator_at_the_address_of_one_that_is_gone_counts_as_changed_too():
     for _ in range(5):
         turns, remembered = itertools.cycle([1j]), Remembered()
         assert [remembered.has_changed(turns) for _ in range(3)] == [False, True, False]
+
+
+def test_only_so_many_iterators_are_kept_after_their_description(monkeypatch):
+    monkeypatch.setattr(copier, "MAX_DESCRIBED", 3)
+    monkeypatch.setattr(copier, "_described", {})
+    turns = [itertools.cycle([k]) for k in range(5)]
+    remembered = [Remembered() for _ in turns]
+    assert not any(memory.has_changed(turn) for memory, turn in zip(remembered, turns, strict=True))
+    assert [*copier._described.values()] == turns[2:]
+    assert all(memory.has_changed(turn) for memory, turn in zip(remembered[2:], turns[2:], strict=True))
 
 
 def test_a_function_that_dispatches_by_type_is_one_like_others():
