@@ -39,7 +39,7 @@ often as those without a control. If no straight line fits and there are few pai
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import inf, nan
+from math import frexp, inf, nan
 
 import numpy as np
 
@@ -144,6 +144,8 @@ def _slopes(y: Floats, x: Floats) -> tuple[Floats, float, float]:
     h_i = 1/n + x_i^2 / S (Cook & Weisberg 1982, "Residuals and Influence in Regression", section 2.2). If the control
     is the same in all other runs, h_i is 1, and their slope is set to 0.
     """
+    # Powers of 2 as units leave all digits as they are, and no square of a tiny or great value is 0 or inf.
+    (x, x_unit), (y, y_unit) = _in_its_unit(x), _in_its_unit(y)
     abscissae, ordinates = x.tolist(), y.tolist()
     squares, variation = inner_product(abscissae, abscissae), inner_product(ordinates, ordinates)
     slope = inner_product(abscissae, ordinates) / squares
@@ -152,4 +154,10 @@ def _slopes(y: Floats, x: Floats) -> tuple[Floats, float, float]:
     change = np.divide(x * residuals, squares * unleveraged, out=np.zeros_like(x), where=varies)
     slopes = np.where(varies, slope - change, 0.0)
     explained = slope * slope * squares / variation if variation else nan
-    return slopes, slope, explained
+    return np.ldexp(slopes, y_unit - x_unit), float(np.ldexp(slope, y_unit - x_unit)), explained
+
+
+def _in_its_unit(values: Floats) -> tuple[Floats, int]:
+    """Return values divided by the power of 2 that makes the largest a number in [1/2, 1), and the exponent."""
+    _, exponent = frexp(np.abs(values).max())
+    return np.ldexp(values, -exponent), exponent

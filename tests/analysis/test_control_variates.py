@@ -34,7 +34,7 @@ def test_each_value_is_corrected_by_the_slope_of_all_others(pairs, others):
         assert made.explained == pytest.approx(np.corrcoef(x, y)[0, 1] ** 2, abs=1e-6)
 
 
-@pytest.mark.parametrize("unit", [2.0**-300, 2.0**270])
+@pytest.mark.parametrize("unit", [2.0**-560, 2.0**-300, 2.0**270])
 def test_the_interval_of_very_great_and_small_values_is_that_in_their_unit(unit):
     y, x, others = np.array([1.0, 2.0, 4.0, 3.0, 7.0]), np.array([1.0, 2.5, 4.0, 3.0, 6.0]), np.array([1.0, 2.0, 4.0])
     usual, scaled = control_variate(y, x, others), control_variate(unit * y, unit * x, unit * others)
