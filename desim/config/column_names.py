@@ -160,6 +160,11 @@ def coordinate_columns(labels: Sequence[object]) -> list[int] | None:
     return [index[role] for role in "txy" if role in index] if {"x", "y"} <= index.keys() else None
 
 
+def are_out_of_order(labels: Sequence[object]) -> bool:
+    """Return whether the columns of a table have numbers as labels, and other places than the numbers say."""
+    return all(isinstance(label, int) for label in labels) and labels != sorted(labels)  # type: ignore[type-var]
+
+
 def _is_text(label: object) -> bool:
     return isinstance(label, str)
 

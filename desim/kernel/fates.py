@@ -6,9 +6,10 @@ from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from desim.config.arguments import naming_arguments, value_text
+from desim.config.column_names import are_out_of_order
 from desim.config.model import MAX_TIME
 from desim.config.number_files import number_of
-from desim.config.python_numbers import real
+from desim.config.python_numbers import as_python, real
 from desim.kernel.core.body_content import is_missing
 from desim.kernel.core.units import nanoseconds
 from desim.kernel.measured.csv_tables import cells_of, csv_header, csv_text, select
@@ -163,6 +164,9 @@ def _order(names: Iterable[Any]) -> list[Any] | None:
     Raises:
         ValueError: if the table names columns, and lacks one of `COLUMNS`: their order does not tell what they are.
     """
+    names = [*names]
+    if are_out_of_order(names):
+        raise ValueError(f"columns should be {', '.join(COLUMNS)}: the numbers {value_text(names)} are not in order")
     by_column = {name.lower(): name for name in names if isinstance(name, str)}
     if missing := [column for column in COLUMNS if column not in by_column]:
         if by_column:
@@ -191,7 +195,7 @@ def _logged(values: Any) -> LoggedMessage:
         dst = None
     elif isinstance(dst, float):  # pandas stores integers as floats if one is missing
         dst = None if isnan(dst) else int(dst) if dst.is_integer() else dst
-    return LoggedMessage(t, src, dst, size)
+    return LoggedMessage(*map(as_python, (t, src, dst, size)))
 
 
 def read_log(file: Path, node_of: Callable[[str], Any]) -> list[LoggedMessage]:

@@ -1,10 +1,12 @@
 """`desim fates`, and `desim.fates`: what a network does to the messages of a log."""
 
 import csv
+import json
 from math import isnan, nan
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -118,6 +120,13 @@ def test_a_transport_repeats_a_logged_message_until_it_arrives():
     assert any(row.arrived - row.t > 0.05 for row in rows)
 
 
+def test_fates_of_numbers_of_numpy_can_be_written_as_json():
+    rows = [(np.float32(0.5), np.int64(0), np.int8(1), np.uint16(8)), (np.float64(1.0), np.int64(1), None, np.int64(9))]
+    made = fates(rows, 2, {"latency": 0.1})
+    assert made == fates([(0.5, 0, 1, 8), (1.0, 1, None, 9)], 2, {"latency": 0.1})
+    assert json.loads(json.dumps(made)) == [list(fate) for fate in made]
+
+
 def test_the_rows_of_a_log_may_be_a_frame_of_pandas():
     """Its column of receivers has floats if one is missing, and so has the rest of a row."""
     frame = pd.DataFrame({"t": [0.0, 0.5], "src": [0, 1], "dst": [1, None], "size": [8, 9]})
@@ -162,6 +171,8 @@ def test_columns_with_other_names_are_refused_whatever_names_them(names):
         with pytest.raises(ValueError, match="columns should be t, src, dst, size: no "):
             fates(rows, 3)
     assert fates(frame.set_axis(range(4), axis=1), 3) == fates([(500, 0, 1, 24)], 3)  # none is named
+    with pytest.raises(ValueError, match=r"the numbers \[1, 0, 2, 3\] are not in order"):
+        fates(frame.set_axis([1, 0, 2, 3], axis=1), 3)
 
 
 def test_columns_may_be_written_large():
