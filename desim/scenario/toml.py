@@ -273,6 +273,8 @@ def _read_text(file: Path) -> str:
     try:
         return content.decode("utf-8").replace("\r\n", "\n")
     except UnicodeDecodeError as error:
+        if packed := next((name for start, name in COMPRESSED.items() if content.startswith(start)), None):
+            raise ScenarioError(f"{file}: not TOML: it is compressed by {packed}; decompress it first") from error
         line = content.count(b"\n", 0, error.start) + 1
         raise ScenarioError(f"{file}:{line}: not TOML: not UTF-8 text ({error.reason})") from error
 
@@ -296,6 +298,8 @@ def _syntax_error(file: str | PathLike[str], message: str, text: str) -> str:
     return f"{file}:{line}: not TOML: {problem}{column}"
 
 
+COMPRESSED = {b"\x1f\x8b": "gzip", b"BZh": "bzip2", b"\xfd7zXZ": "xz", b"\x28\xb5\x2f\xfd": "zstd", b"PK\3\4": "zip"}
+"""The first bytes of compressed files, and the program that reads them."""
 TOML_TYPES = (str, bool, int, float, Decimal, date, time)
 """The types of values without parts that TOML has."""
 DOT = "', '"

@@ -1,7 +1,10 @@
 """How commands end when they cannot print, are given what cannot be read, or run code that ends the program."""
 
 import ast
+import bz2
 import errno
+import gzip
+import lzma
 import os
 import re
 import signal
@@ -22,6 +25,7 @@ from desim.cli.program import Program, released
 from desim.config.errors import MetricError
 from desim.config.whole_files import write_whole
 from desim.kernel.core.trace_file import TraceFile
+from desim.scenario.overrides import ScenarioError
 from desim.scenario.toml import load
 from tests.command import accepted, desim, refused
 
@@ -220,6 +224,15 @@ def test_a_byte_order_mark_is_no_part_of_a_file(file, tmp_path):
     assert done.stderr.startswith(f"{tmp_path}/f.toml:1: horizons: unknown key")
     (tmp_path / "f.toml").write_bytes(b"\xef\xbb\xbf#\n\xe9")
     assert desim("check", tmp_path / "f.toml").stderr.startswith(f"{tmp_path}/f.toml:2: not TOML: not UTF-8 text")
+
+
+@pytest.mark.parametrize(
+    ("name", "compress"), [("gzip", gzip.compress), ("bzip2", bz2.compress), ("xz", lzma.compress)]
+)
+def test_a_compressed_scenario_file_is_refused_with_the_program_that_reads_it(name, compress, tmp_path):
+    (tmp_path / "f.toml").write_bytes(compress(b"horizon = 1.0\n"))
+    with pytest.raises(ScenarioError, match=f"f.toml: not TOML: it is compressed by {name}; decompress it first"):
+        load(tmp_path / "f.toml")
 
 
 @pytest.mark.filterwarnings("always")
