@@ -248,6 +248,11 @@ REFUSED = {
     "trips of SUMO": ("<tripinfos>\n</tripinfos>", r"the trips of SUMO have no positions; its option --fcd-output"),
     "FCD that is cut": ('<fcd-export><timestep time="0">', r"is not valid XML"),
     "FCD with a document type": ("<!DOCTYPE a>\n<fcd-export/>", r"should declare no document type"),
+    "FCD in degrees that stands still": (
+        '<!-- <fcd-output.geo value="true"/> --><fcd-export><timestep time="0"><vehicle id="a" x="11.5" y="48.1"/>'
+        "</timestep></fcd-export>",
+        r"has positions in degrees: SUMO wrote it with fcd-output\.geo",
+    ),
     "FCD in degrees": (
         '<fcd-export><timestep time="0"><vehicle id="a" x="11.5" y="48.1" speed="9"/></timestep>\n'
         '<timestep time="1"><vehicle id="a" x="11.5001" y="48.1" speed="9"/></timestep></fcd-export>',

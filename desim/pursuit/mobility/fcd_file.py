@@ -7,6 +7,7 @@
 </fcd-export>
 """
 
+import re
 from collections import defaultdict
 from decimal import Decimal
 from itertools import pairwise
@@ -23,6 +24,9 @@ TRAVELLERS = frozenset({"vehicle", "person", "container"})
 """The elements of a time step that have a position."""
 LEAST_SHARE = 0.01
 """Least share of their speeds at which vehicles move. Positions in degrees give a share of 1e-5."""
+
+GEO = re.compile(r'<fcd-output\.geo value="(?:true|yes|on|1|x|t)"', re.IGNORECASE)
+"""The option in the comment at the head of the file, which shows degrees also if nothing moves."""
 
 
 class _Place(NamedTuple):
@@ -63,6 +67,8 @@ class FcdFile(MobilityFile):
         super().__init__(file, self._places)
         steps = {place.t: place.line for places in self._places.values() for place in places}
         self._start = start_of((self._time(t, line) for t, line in steps.items()), file)
+        if GEO.search(text):
+            raise ValueError(f"{file} has positions in degrees: SUMO wrote it with fcd-output.geo, as its comment says")
         self._check_is_in_metres()
 
     def _time(self, text: str, line: int) -> Decimal:
