@@ -161,8 +161,15 @@ class SteppedNetworks:
         return array_of(last)  # type: ignore[return-value]  # indexing gives views, not copies
 
     def _bodies(self, bodies: Any) -> list[list[Any]]:
-        """Return the bodies of each network and node: a number, or a tuple of numbers."""
-        array, size = array_of(bodies), len(self._networks[0].nodes)
+        """Return the bodies of each network and node: a number, or a tuple of numbers.
+
+        A frame whose columns have the labels of the nodes may have them in any order.
+        """
+        nodes = self._networks[0].nodes
+        columns = [*getattr(bodies, "columns", ())]
+        if len(columns) == len(nodes) and {*columns} == {*nodes}:
+            bodies = bodies[[*nodes]]
+        array, size = array_of(bodies), len(nodes)
         if array.ndim not in {2, 3} or array.shape[:2] != (len(self), size) or array.dtype.kind not in "biuf":
             raise ValueError(
                 f"bodies should be numbers of the shape ({len(self)}, {size}) or ({len(self)}, {size}, k)"

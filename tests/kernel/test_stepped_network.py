@@ -1127,3 +1127,16 @@ def test_a_node_that_joins_again_has_received_nothing():
     network.publish(0, "new", size=10)
     network.step(0.1)
     assert network.latest(1)[0].body == "new"
+
+
+@pytest.mark.parametrize("nodes", [3, nx.complete_graph(["a", "c", "b"])])
+def test_the_columns_of_bodies_may_have_the_labels_of_nodes_in_any_order(nodes):
+    latest = []
+    for order in ((0, 1, 2), (2, 0, 1)):
+        networks = SteppedNetworks(2, nodes)
+        frame = pd.DataFrame([[10.0, 11.0, 12.0], [20.0, 21.0, 22.0]], columns=networks[0].nodes)
+        networks.publish(frame.iloc[:, [*order]])
+        networks.step(0.1)
+        latest.append(networks.latest())
+    assert latest[0][1, 0, 1:].tolist() == [21.0, 22.0]
+    np.testing.assert_array_equal(*latest)
