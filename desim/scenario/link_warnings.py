@@ -25,7 +25,7 @@ from desim.kernel.models.reception import Disk, QuasiUnitDisk
 from desim.kernel.models.traits import InterferenceTraits, ReceptionTraits
 from desim.kernel.models.transport import BestEffort, Reliable
 from desim.kernel.walls.materials import MATERIALS
-from desim.pursuit.core.traits import DisseminationTraits
+from desim.pursuit.core.traits import DisseminationTraits, size_by
 from desim.pursuit.sensing.noise import Covariance
 from desim.pursuit.sensing.noisy_sensing import Sighted, Tracked
 from desim.pursuit.sensing.tracking import Measurement
@@ -266,10 +266,36 @@ def _channel_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
         )
     if medium.half_duplex:
         yield "network.medium.half_duplex", "it has no effect: nodes that contend never receive while they transmit"
+    if isinstance(medium.access, Tdma) and scenario.fault:
+        yield from _absentee_warnings(scenario, medium, medium.access)
     access, airtime = medium.access, scenario.announcement_airtime
     if isinstance(access, SlottedAloha) and scenario.announces and nanoseconds(access.slot) < nanoseconds(airtime):
         yield (
             "network.medium.access.slot",
             f"an announcement of {scenario.announcement_size} bytes takes {airtime:g} s on the air, longer than a slot"
             f" of {access.slot:g} s: frames of neighbouring slots overlap",
+        )
+
+
+def _absentee_warnings(scenario: Scenario, medium: Radio, access: Tdma) -> Iterator[tuple[str, str]]:
+    """Yield a warning if a slot is too short for a message of the schedule that lists many pursuers without an answer.
+
+    That such a message fits without absentees is checked in `desim.scenario.misfits`.
+    """
+    traits, count = scenario.schedule_traits, scenario.team.count
+    if traits.message_size is None or not traits.absentee_size:
+        return
+    size = size_by(traits.message_size, count, scenario.announcement_size)
+    most, free = count - 2, nanoseconds(access.slot) - nanoseconds(access.guard)  # sender and receiver are present
+
+    def airtime(absentees: int) -> int:
+        return nanoseconds(airtime_of(medium, size + absentees * traits.absentee_size, count))
+
+    fitting = bisect_right(range(most + 1), free, key=airtime) - 1
+    if 0 <= fitting < most:
+        least = -(-(airtime(most) + nanoseconds(access.guard)) // 1000) / 1e6  # s, rounded up to whole microseconds
+        yield (
+            "network.medium.access.slot",
+            f"a message of the schedule lists the pursuers that do not answer: it is never sent if they are more than"
+            f" {fitting}; with {most} of them it needs a slot of {least:.10g} s (got {access.slot:g})",
         )

@@ -32,6 +32,8 @@ class _WithToken(Value):
 
     spreads_to: ClassVar[Literal["all"]] = "all"
     """The token carries the records of all pursuers."""
+    absentee_size: ClassVar[int] = NUMBER
+    """The token has the number of each pursuer that did not answer."""
     holding_time: Period = 0.01
     """Time for which a pursuer holds the token before it revises and forwards it, s.
 
@@ -56,7 +58,7 @@ class _WithToken(Value):
         return self.holding_time + hop_time(me)
 
     def message_size(self, pursuers: int, announcement: int) -> int:
-        """Return the size of a token with the records of all pursuers, bytes; each absentee adds a number."""
+        """Return the size of a token with the records of all pursuers, bytes; each absentee adds `absentee_size`."""
         numbers = len(UNHEARD) + 1 + pursuers  # epoch, hop and visits
         return HEADER + numbers * NUMBER + pursuers * announcement
 

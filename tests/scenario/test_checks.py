@@ -866,3 +866,25 @@ def test_a_warning_about_one_of_several_evaders_names_its_table():
     near, far = Evader(position=(9.0, 8.0), count=2), Evader(position=(1e6, 0.0))
     scenario = Scenario(team=Team(count=1, positions=((0.0, 0.0),)), evader=(near, far), horizon=1.0)
     assert [key for key, why in warnings(scenario) if "so far away" in why] == ["evader.1"]
+
+
+def test_a_slot_that_is_too_short_for_a_token_with_absentees_is_warned_of():
+    """6 pursuers: at 8 bit/ms, a token of 16 + 4 x 8 + 6 x 8 + 6 x 24 = 240 bytes takes 0.24 s, an absentee 0.008 s."""
+    medium = {"kind": "bitrate", "bitrate": 8000.0, "access": {"kind": "tdma", "slot": 0.26, "guard": 0.001}}
+    tables = {
+        "team": {"count": 6},
+        "protocol": {"kind": "sap", "schedule": "token_ring"},
+        "network": {"medium": medium},
+    }
+
+    def texts(slot, fault):
+        medium["access"]["slot"] = slot
+        found = warnings(Scenario(**tables, fault=fault))
+        return [why for key, why in found if key == "network.medium.access.slot"]
+
+    crash = [{"kind": "crash", "start": 1.0, "node": 1}]
+    assert texts(0.26, crash) == [
+        "a message of the schedule lists the pursuers that do not answer: it is never sent if they are more than 2;"
+        " with 4 of them it needs a slot of 0.273 s (got 0.26)"
+    ]
+    assert texts(0.273, crash) == texts(0.26, []) == []

@@ -100,6 +100,8 @@ class ScheduleTraits(Assuming):
     message_size: Callable[[int, int], int] | None = None
     """`message_size(pursuers, announcement)` returns the size of its longest message, bytes, given the number of
     pursuers and the size of an announcement; None: it sends no messages."""
+    absentee_size: Annotated[int, Field(ge=0, strict=True)] = 0
+    """By how many bytes each pursuer that does not answer makes this message longer, at most N - 2 of them."""
     without_serial_decisions: Annotated[Callable[[], dict[str, Any]] | None, Follows("__call__")] = None
     """`without_serial_decisions()` returns the table, as in a scenario file, of a similar schedule without turns: no
     decision waits for those of teammates. It is for `desim explain`. None: the schedule has no turns."""
