@@ -1,6 +1,7 @@
 """Each imperfection is removed, and nothing else."""
 
 from dataclasses import dataclass, field
+from itertools import permutations
 from math import inf
 from typing import Literal
 
@@ -280,6 +281,19 @@ def test_players_start_among_walls_as_where_these_have_become_places_without_sta
 @pytest.mark.parametrize("name", IMPERFECTIONS)
 def test_only_the_given_imperfection_is_removed(name):
     assert changes(WORST, removed(WORST, [name])) == CHANGES[name]
+
+
+WITHOUT_EFFECT = {"sensing.estimate", "sensing.track_timeout"}
+"""Settings of sightings that mean nothing, and have their defaults, where all evaders are always seen."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("names", [*permutations(("limited sight", "noise", "walls (sight)"), 2)], ids=" then ".join)
+def test_what_limits_and_blurs_the_sight_is_removed_alone(names):
+    """How much of the settings of sightings can go depends on which limits are left."""
+    kept = removed(WORST, names)
+    found = {key for key in changes(WORST, kept) if not key.startswith("wall")}
+    assert found - WITHOUT_EFFECT == {key for name in names for key in CHANGES[name] if not key.startswith("wall")}
 
 
 @pytest.mark.slow

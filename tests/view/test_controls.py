@@ -1,6 +1,6 @@
 """The controls follow from the models: each key of a scenario has one, and its value can be set as it is."""
 
-from math import pi
+from math import inf, pi
 
 import pytest
 
@@ -8,7 +8,7 @@ from desim import Announcements, Links, Scenario, Team, load
 from desim.kernel.models.latency import Gamma
 from desim.scenario.overrides import Source
 from desim.scenario.toml import read_source, validate
-from desim.view.pages.controls import FIRST, Slider, controls
+from desim.view.pages.controls import FIRST, Slider, _slider, controls
 from scenarios.studies.study import SCENARIOS
 
 FILES = sorted(SCENARIOS.glob("*.toml"))
@@ -168,3 +168,21 @@ def test_a_pair_has_an_example_that_is_valid():
     assert validate(source).evader.strategy.arena == (0.0, 20.0)
     assert found["team.positions"].example == "[[0, 0], [10, 5]]"
     assert found["network.range"].example == found["name"].example == ""
+
+
+@pytest.mark.parametrize(
+    ("unit", "low", "high", "may_be_low", "slider"),
+    [
+        (None, -500.0, 500.0, True, Slider(-500.0, 500.0)),
+        (None, -500.0, 500.5, True, None),
+        ("s", 0.0, 1000.0, True, Slider(0.0, 1000.0)),
+        ("s", 0.0, 1000.5, True, Slider(0.001, 10.0, is_log=True, at_low=0.0)),
+        ("s", 0.0, 1000.5, False, Slider(0.001, 10.0, is_log=True)),
+        ("s", 0.0, inf, True, Slider(0.001, 10.0, is_log=True, at_low=0.0, at_high=inf)),
+        ("s", 0.5, 1000.0, True, Slider(0.5, 1000.0)),
+        ("s", -1.0, inf, True, None),
+        ("kg", 0.0, 1000.5, True, None),
+    ],
+)
+def test_a_number_of_a_wide_range_has_the_slider_of_its_unit(unit, low, high, may_be_low, slider):
+    assert _slider("key", unit, low, high, 1.0, may_be_low=may_be_low) == slider
