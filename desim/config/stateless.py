@@ -20,11 +20,13 @@ from desim.config.traits import OURS, module_of
 
 CONSTANTS = ATOMS | {complex, bytes}
 """The types of values that hold nothing else and never change."""
-NEVER_CHANGED = OURS | {"networkx", "pathlib", "threading", "_thread", "queue", "_queue", "_contextvars"}
+NEVER_CHANGED = OURS | {
+    *("networkx", "pydantic_core", "pathlib", "threading", "_thread", "queue", "_queue", "_contextvars"),
+}
 """The packages and modules whose objects a copy shares: they do not change while a model holds them, or connect
 threads, such as locks."""
 
-UNCOPIED = (Struct, re.Match)
+UNCOPIED = (Struct, re.Match, np.ufunc)
 """Types whose objects never change, and which pickle cannot copy."""
 CSV_WRITER = type(csv.writer(StringIO()))
 
@@ -47,8 +49,13 @@ def is_output(value: Any) -> bool:
 
 
 def is_stateless_module(name: str) -> bool:
-    """Return whether copies share the objects of the classes of a module, given its name; not those of graphs."""
-    return name.partition(".")[0] in NEVER_CHANGED and not name.startswith("networkx.classes.")
+    """Return whether copies share the objects of the classes of a module, given its name; not those of graphs.
+
+    A function that pydantic validates has an object of an internal class, which cannot be copied.
+    """
+    if name.startswith(("networkx.classes.", "pydantic._internal.")):
+        return name.startswith("pydantic")
+    return name.partition(".")[0] in NEVER_CHANGED
 
 
 @lru_cache(maxsize=256)

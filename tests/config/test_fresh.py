@@ -18,13 +18,13 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextvars import ContextVar
 from pathlib import Path
 from types import FunctionType, ModuleType
-from typing import ClassVar
+from typing import Any, ClassVar
 from warnings import catch_warnings, simplefilter
 
 import networkx
 import numpy as np
 import pytest
-from pydantic import BaseModel
+from pydantic import BaseModel, validate_call
 
 import desim
 import protocols
@@ -337,7 +337,9 @@ def test_a_text_that_a_model_reads_is_copied():
     assert lines.tell() == 0
 
 
-@pytest.mark.parametrize("constant", [struct.Struct("<d"), re.match("1", "1"), ContextVar("held")], ids=type)
+@pytest.mark.parametrize(
+    "constant", [struct.Struct("<d"), re.match("1", "1"), ContextVar("held"), np.frompyfunc(abs, 1, 1)], ids=type
+)
 def test_what_never_changes_and_cannot_be_pickled_is_shared(constant):
     held = Scenario.model_construct(protocol=functools.partial(int, constant))
     with fresh_copy(held) as copied:
@@ -945,6 +947,15 @@ READS = {
 def test_what_an_object_computes_when_it_is_read_is_not_warned_of(read):
     for _ in range(3):  # a warning is an error
         run(brief(doing(read)), 1)
+
+
+def test_a_function_that_pydantic_validates_is_a_model():
+    @validate_call
+    def strategy(state: Any, rng: Any) -> complex:
+        return 1j
+
+    for _ in range(2):
+        assert run(brief(strategy), 1).trace.events == run(brief(lambda state, rng: 1j), 1).trace.events
 
 
 def test_a_generator_in_a_cached_property_is_warned_of():
