@@ -29,6 +29,7 @@ threads, such as locks."""
 UNCOPIED = (Struct, re.Match, np.ufunc)
 """Types whose objects never change, and which pickle cannot copy."""
 CSV_WRITER = type(csv.writer(StringIO()))
+"""The type of what `csv.writer` returns."""
 
 
 def is_output(value: Any) -> bool:
