@@ -9,6 +9,7 @@ from fractions import Fraction
 from functools import partial
 from math import inf, nan
 from multiprocessing.pool import ThreadPool
+from textwrap import dedent
 from types import SimpleNamespace
 from typing import ClassVar, NamedTuple
 
@@ -27,6 +28,7 @@ from desim import (
     Scenario,
     Sensing,
     Team,
+    load,
     run,
     summary,
     sweep,
@@ -65,6 +67,7 @@ from desim.pursuit.team.targeted_faults import ChaserCut
 from desim.pursuit.team.trust import Credulous
 from desim.results.run_folder import read, write
 from desim.scenario.checks import warnings
+from desim.scenario.overrides import ScenarioError
 from desim.testing import watched
 from desim.view.pages.replay import replay_page
 from protocols.temperature import inverse_temperatures
@@ -629,6 +632,23 @@ def test_a_model_of_a_dataclass_is_named_with_the_line_of_its_own_code():
 
     with pytest.raises(AnswerError, match=r"from test_.*Theirs\(late=-0.1\) \(.*test_users_functions.py, line \d+\)$"):
         run(linked(latency=Theirs()), 1)
+
+
+def test_a_class_of_the_wrong_family_is_named_before_it_has_made_a_model(tmp_path):
+    """pydantic completes a class when one of its parts is looked at, and so changes its attributes."""
+    code = """
+        from desim.config.model import Period, Value
+
+        class Attentive(Value):
+            active: Period = 0.1
+
+            def __call__(self, me, revise):
+                yield me.sleep(self.active)
+    """
+    (tmp_path / "late_kinds.py").write_text(dedent(code))
+    (tmp_path / "late.toml").write_text('protocol.kind = "late_kinds:Attentive"\n')
+    with pytest.raises(ScenarioError, match=r"Attentive \(.*late_kinds.py, line 7\) does not: missing .* 'revise'"):
+        load(tmp_path / "late.toml", allow_import=True)
 
 
 def test_a_returned_object_is_named_without_its_address():

@@ -54,7 +54,8 @@ def _place(model: object) -> str:
     kind = model if isinstance(model, type) else type(model)
     if is_ours(kind):
         return ""
-    methods = (getattr(getattr(value, "__func__", value), "__code__", None) for value in vars(kind).values())
+    members = [*vars(kind).values()]  # to look at a part of a pydantic model may complete its class
+    methods = (getattr(getattr(member, "__func__", member), "__code__", None) for member in members)
     codes = [code for code in methods if code is not None and code.co_name in vars(kind)]
     codes = [code for code in codes if code.co_filename != "<string>"] or codes  # a dataclass generates methods
     return _place_of(min(codes, key=lambda code: code.co_firstlineno)) if codes else ""
