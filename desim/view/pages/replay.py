@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from html import escape
 from importlib.resources import files
+from os import PathLike
 from pathlib import Path
 
 from desim.analysis.drawing import palette
@@ -71,6 +72,9 @@ def replay(result: Result, ghost: Result | None = None) -> Replay:
         ModuleNotFoundError: if jinja2 is not installed; the message names the extra.
     """
     argument = run_argument(Result)
+    file: object = ghost
+    if isinstance(file, str | PathLike) and Path(file).suffix:
+        raise TypeError(f"a ghost is another run, not a file: replay(result).write({str(file)!r}) writes the page")
     for value in (result,) if ghost is None else (result, ghost):
         argument.check(value, "replay")
     return Replay(replay_page(result, ghost), run_name(result))

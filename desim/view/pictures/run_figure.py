@@ -1,6 +1,8 @@
 """The figures of a run: the paths of its players and its space-time diagram; needs matplotlib (the extra `plot`)."""
 
 from collections.abc import Sequence
+from os import PathLike
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from desim.config.arguments import naming_arguments, run_argument, value_text
@@ -55,7 +57,10 @@ def plot(
     if kind == "spacetime":
         return spacetime(result, begin, end, pursuers, size, style=style, ax=ax)
     if kind != "trajectory":
-        raise ValueError(f"kind should be trajectory or spacetime, got {value_text(kind)}")
+        file: object = kind
+        is_file = isinstance(file, str | PathLike) and Path(file).suffix
+        hint = f"; plot(result).savefig({str(kind)!r}) writes the figure" if is_file else ""
+        raise ValueError(f"kind should be trajectory or spacetime, got {value_text(kind)}{hint}")
     if (begin, end, pursuers) != (None, None, None):
         raise ValueError("begin, end and pursuers are options of the kind spacetime")
     return trajectory(result, size, style=style, ax=ax)
