@@ -51,9 +51,10 @@ def bench(
     except ValueError as error:
         raise click.BadParameter(str(error), param_hint="--version") from error
     entries = [protocol_of(text, "--protocol") for text in protocols]
-    folder = None
-    if entries or again:  # there are runs, which need a store
-        folder = Path("out") / "bench" / f"v{suite.version}" if out is None else out
+    folder = out
+    if folder is None and (entries or again):  # there are runs, which need a store
+        folder = Path("out") / "bench" / f"v{suite.version}"
+    if folder is not None:
         make_folder(folder)
     if entries and not again and not frozen_matches(suite):
         echo(

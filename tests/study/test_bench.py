@@ -366,6 +366,14 @@ def test_the_command_prints_the_table_of_the_version():
     assert f"({OMNISCIENT})" in result.stdout
 
 
+@pytest.mark.slow
+def test_the_table_of_the_version_is_written_into_a_folder_that_is_asked_for(tmp_path):
+    assert command("-n", 2, "-o", tmp_path / "new").exit_code == 0
+    written = json.loads((tmp_path / "new" / "bench.json").read_text())
+    assert written["protocols"].keys() == SUITE.protocols.keys()
+    assert (tmp_path / "new" / "bench.txt").read_text() == f"{bench(runs=2)}\n"
+
+
 @pytest.mark.parametrize(
     ("arguments", "why"),
     [
