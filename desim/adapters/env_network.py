@@ -130,7 +130,7 @@ class EnvNetwork:
         places = self._positions_of(self._env)
         if not isinstance(places, Mapping):
             if hasattr(places, "loc") and {*places.index} == {*self.row}:  # a table of pandas by agent
-                places = places.loc[[*self.row]]
+                places = places.loc[[*self.row]].reset_index(drop=True)
             rows = array_of(places)
             if rows.ndim == 0 or len(rows) != len(self.row) or self._is_open:
                 expected = "be a dict by agent" if self._is_open else f"have {len(self.row)} rows, one per agent"

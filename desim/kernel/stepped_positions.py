@@ -121,7 +121,7 @@ class SteppedPositions(PositionSource):
         """Return a read-only copy of the positions at one instant."""
         rows = getattr(positions, "index", None) if hasattr(positions, "loc") else None
         if rows is not None and len(rows) == self._size and {*rows} == {*self._nodes}:  # of pandas
-            positions = positions.loc[[*self._nodes]]
+            positions = positions.loc[[*self._nodes]].reset_index(drop=True)
         elif isinstance(positions, Mapping):
             if missing := [node for node in self._nodes if node not in positions]:
                 raise ValueError(

@@ -1140,3 +1140,10 @@ def test_the_columns_of_bodies_may_have_the_labels_of_nodes_in_any_order(nodes):
         latest.append(networks.latest())
     assert latest[0][1, 0, 1:].tolist() == [21.0, 22.0]
     np.testing.assert_array_equal(*latest)
+
+
+def test_the_rows_of_positions_may_have_the_labels_of_nodes_in_any_order():
+    table = pd.DataFrame({"x": [0.0, 1.0, 99.0], "y": 0.0}, index=["a", "c", "b"])
+    network = SteppedNetwork(nx.Graph([("c", "a"), ("a", "b")]), Links(range=5.0), positions=table)
+    network.send("a", None, "hi")
+    assert [message.dst for message in network.step(0.1)] == ["c"]
