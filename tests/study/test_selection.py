@@ -485,10 +485,13 @@ def test_the_runs_of_a_race_are_counted_in_whole_numbers():
 def test_the_figure_of_a_race_has_a_line_for_each_configuration():
     figure = raced().plot()
     upper, lower = figure.axes
-    means = [line for line in upper.lines if not line.get_label().startswith("_")]
-    ends = [line for line in upper.lines if line.get_marker() == "x"]
+    marks = [line for line in upper.lines if line.get_label() in {"dropped", "end of the first runs"}]
+    means = [line for line in upper.lines if not line.get_label().startswith("_") and line not in marks]
+    ends = [line for line in upper.lines if line.get_marker() == "x" and line not in marks]
     assert len(means) == 3
-    assert len(upper.lines) == 1 + len(means) + len(ends)  # the end of the first runs; those that were dropped
+    assert len(marks) == 2
+    assert len(upper.lines) == len(marks) + len(means) + len(ends)
+    assert {"dropped", "end of the first runs"} < {text.get_text() for text in figure.legends[0].get_texts()}
     assert len({line.get_color() for line in means}) == len({line.get_marker() for line in means}) == 3
     assert len({line.get_markevery()[0] for line in means}) > 1  # the marks of equal lines stand beside each other
     assert all(tick % 1 == 0 for tick in lower.get_xticks())

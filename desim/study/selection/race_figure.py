@@ -1,6 +1,7 @@
 """The figure of a race: running means, with a cross where a configuration was dropped, and the number of those left."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.ticker import MaxNLocator
@@ -8,7 +9,6 @@ from matplotlib.ticker import MaxNLocator
 from desim.analysis.drawing.palette import GREY
 from desim.analysis.drawing.plots import Axes, Figure, Style, as_it_is, figure_of, in_style, styled
 from desim.analysis.metrics import words
-from desim.config.escaping import escaped
 from desim.study.results.figure_labels import (
     add_legend,
     add_legend_above,
@@ -23,6 +23,10 @@ MARKS = 5
 """The number of marks on a line of the longest race."""
 NAMED = 10
 """The largest number of configurations that a legend names: the best ones."""
+CROSS: dict[str, Any] = {"marker": "x", "ls": "none", "ms": 7, "mew": 1.6, "zorder": 3}
+"""The style of the mark where a configuration was dropped."""
+DROPPED, FIRST = "dropped", "end of the first runs"
+"""The names of this mark and of the dotted line in the legend."""
 
 
 def draw_race(
@@ -55,7 +59,7 @@ def draw_race(
             ax.set_xlabel("runs of each configuration")
             add_legend_above(ax, None)
         return figure
-    default_size = (6.4, 4.4 + height_of_legend(names[:NAMED], 6.4))
+    default_size = (6.4, 4.4 + height_of_legend([*names[:NAMED], DROPPED, FIRST], 6.4))
     with styled(default_size, size, style=style) as figure:
         upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(4, 1))
         _draw_means(upper, selection, order, names, first)
@@ -63,13 +67,12 @@ def draw_race(
         _draw_survivors(lower, selection)
         add_legend(figure, None)
         if size is None:
-            upper.set_title(escaped(f"{title}: a race"), fontsize=9, **as_it_is(title))
+            upper.set_title(as_it_is(f"{title}: a race"), fontsize=9, wrap=True)
     return figure
 
 
 def _draw_means(axes: Axes, selection: Selection, order: Sequence[int], names: Sequence[str], first: int) -> None:
     """Draw the running means from the second run on, and a line at the last of the first runs."""
-    axes.axvline(first, color=GREY, lw=0.8, ls=":", zorder=0)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     dropped_systems = {dropped.system for dropped in selection.dropped}
     for rank, (system, name) in enumerate(zip(order, names, strict=True)):
@@ -81,7 +84,10 @@ def _draw_means(axes: Axes, selection: Selection, order: Sequence[int], names: S
         gap = max(len(means) // MARKS, 1)  # lines begin their marks at different runs, so that no mark hides another
         axes.plot(counts[1:], means[1:], label=label, markevery=(rank % gap, gap), **look)
         if system in dropped_systems:
-            axes.plot(counts[-1:], means[-1:], marker="x", ls="none", color=look["color"], ms=7, mew=1.6, zorder=3)
+            axes.plot(counts[-1:], means[-1:], color=look["color"], **CROSS)
+    if dropped_systems:
+        axes.plot([], [], color="black", label=DROPPED, **CROSS)
+    axes.axvline(first, color=GREY, lw=0.8, ls=":", zorder=0, label=FIRST)
 
 
 def _draw_survivors(axes: Axes, selection: Selection) -> None:
