@@ -11,8 +11,9 @@ from desim.analysis.deliveries import deliveries
 from desim.analysis.drawing.palette import COLLISION_MARK, LOST, LOST_MARK
 from desim.kernel.core.events import Broadcast, Lost, Queued
 from desim.kernel.models.faults import Partition
-from desim.kernel.models.traced_faults import FaultStarted
+from desim.kernel.models.traced_faults import FaultStarted, Misbehaviour
 from desim.pursuit.core.events import Decided
+from desim.simulation.run import Result
 from desim.view.pictures.spacetime import MAX_DENSITY, spacetime
 from tests.view.by_hand import ACTIVE, MS, history
 
@@ -55,6 +56,31 @@ def test_a_collision_is_an_asterisk_on_the_line_of_its_receiver_also_if_it_was_a
     assert asterisks.tolist() == [[0.3, 1.0], [0.6, 1.0]]
     assert len(crosses) == 4
     assert not (crosses[:, 1] == 1.0).any()
+
+
+@pytest.mark.slow
+def test_a_liar_that_is_not_drawn_is_no_shade():
+    liars = history(FaultStarted(500 * MS, Misbehaviour(number=0, model="liar", node=1, start=0.5)))
+    shown = [text.get_text() for text in spacetime(liars, pursuers=(0, 1)).axes[0].texts]
+    hidden = [text.get_text() for text in spacetime(liars, pursuers=(0, 2)).axes[0].texts]
+    assert "liar 1" in shown
+    assert "liar 1" not in hidden
+
+
+def test_a_title_says_which_part_of_the_run_is_drawn():
+    assert spacetime(history(), 0.2, 0.3).axes[0].get_title().endswith("seed 3, 0.2 to 0.3 s of 1 s")
+    assert spacetime(history(), 0.0, 1.0).axes[0].get_title().endswith("seed 3")
+
+
+@pytest.mark.slow
+def test_a_long_title_with_dollars_is_wrapped_within_the_picture():
+    result = history()
+    name = "costs of $5$ and a_b in $ which no line of the picture can hold " * 3
+    figure = spacetime(Result(result.scenario.model_copy(update={"name": name}), result.seed, result.trace))
+    figure.draw_without_rendering()
+    extent, window = figure.axes[0].title.get_window_extent(), figure.bbox
+    assert extent.height > 2 * figure.axes[0].title.get_fontsize()
+    assert window.x0 <= extent.x0 < extent.x1 <= window.x1
 
 
 @pytest.mark.slow

@@ -23,6 +23,7 @@ from matplotlib.text import Text
 from desim.analysis.drawing.legends import uncover_data
 from desim.config.arguments import value_text
 from desim.config.errors import ArgumentError
+from desim.config.escaping import escaped
 from desim.config.file_names import PICTURE_SUFFIXES, files
 from desim.config.whole_files import write_whole
 
@@ -229,9 +230,12 @@ def _extent(figure: Figure) -> object:
     return tuple(figure.get_size_inches()), [(text.get_text(), text.get_fontsize()) for text in texts]
 
 
-def as_it_is(text: str) -> dict[str, Any]:
-    """Return the options of a title whose "$" is shown as it is; a long title is wrapped unless it has a "$"."""
-    return {"parse_math": False, "wrap": "$" not in text}  # matplotlib reads "$" as mathematics in texts that it wraps
+def as_it_is(text: str) -> str:
+    """Return the text of a title whose "$" is shown as it is.
+
+    Without the backslashes, matplotlib reads "$" as mathematics in texts that it wraps, even with `parse_math=False`.
+    """
+    return escaped(text).replace("$", r"\$")
 
 
 SIZE = re.compile(r"(?P<width>\d+(\.\d+)?)(?P<unit>cm|mm|in)?(x(?P<height>\d+(\.\d+)?)(?P<last>cm|mm|in)?)?")

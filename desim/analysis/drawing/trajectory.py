@@ -20,7 +20,6 @@ from desim.analysis.drawing.palette import (
 from desim.analysis.drawing.plots import NARROW, Style, as_it_is, figure_of, in_style, styled
 from desim.analysis.drawing.walls import draw_walls
 from desim.analysis.trace_index import captures, sampled
-from desim.config.escaping import escaped
 from desim.kernel.core.units import time_text
 from desim.simulation.run import Result
 
@@ -53,7 +52,7 @@ def trajectory(result: Result, size: str | None = None, *, style: Style = None, 
     with styled((5.2, 5.2), size, style=style) as figure:
         axes = figure.add_subplot()
         draw_trajectory(axes, result)
-        axes.set_title(escaped(f"{result.scenario.name}, seed {result.seed}"), **as_it_is(result.scenario.name))
+        axes.set_title(as_it_is(f"{result.scenario.name}, seed {result.seed}"), wrap=True)
         figure.legend(loc="outside lower center", ncols=2 if figure.get_figwidth() >= NARROW else 1, fontsize=8)
     return figure
 

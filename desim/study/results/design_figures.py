@@ -10,7 +10,6 @@ from matplotlib.colors import Normalize
 
 from desim.analysis.drawing.plots import Axes, Figure, Style, as_it_is, figure_of, in_style, styled
 from desim.analysis.statistics import Estimate
-from desim.config.escaping import escaped
 from desim.study.plan.configurations import in_words
 from desim.study.results.figure_labels import (
     add_legend,
@@ -87,7 +86,7 @@ def scatter(
         for row in panels:
             row[0].set_ylabel(title)
         if size is None:
-            figure.suptitle(escaped(f"{result.name}, 95 % intervals"), fontsize=9, **as_it_is(result.name))
+            figure.suptitle(as_it_is(f"{result.name}, 95 % intervals"), fontsize=9, wrap=True)
         if line_keys:
             add_legend(figure, title_of_legend(line_keys))
     return figure

@@ -108,12 +108,12 @@ def means(
         grid = figure.subplots(rows, columns, squeeze=False, sharex=abscissa is not None, sharey=True)
         for axes, (name, points) in zip(grid.flat, panels.items(), strict=False):
             draw(axes, points)
-            axes.set_title(escaped(name), fontsize=8, **as_it_is(name))
+            axes.set_title(as_it_is(name), fontsize=8, wrap=True)
         _label_outer(grid, len(panels), xlabel, ylabel)
         if size is None:
             intervals = "95 % intervals" if against is None else "paired differences, 95 % intervals"
             set_heading = figure.suptitle if len(panels) > 1 else grid.flat[0].set_title
-            set_heading(escaped(f"{result.name}, {intervals}"), fontsize=9, **as_it_is(result.name))
+            set_heading(as_it_is(f"{result.name}, {intervals}"), fontsize=9, wrap=True)
         add_legend(figure, legend_title)
     return figure
 

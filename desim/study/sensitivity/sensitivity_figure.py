@@ -7,7 +7,6 @@ from typing import Any
 from desim.analysis.drawing.palette import BLUE, GREY, SKY
 from desim.analysis.drawing.plots import Axes, Figure, Style, as_it_is, styled
 from desim.analysis.metrics import words
-from desim.config.escaping import escaped
 from desim.study.results.figure_labels import axis_label, columns_of, literal
 from desim.study.sensitivity.morris import ElementaryEffects
 from desim.study.sensitivity.sobol_indices import IndexEstimate, SobolIndices
@@ -60,7 +59,7 @@ def draw_sensitivity(
         axes.set_ylim(len(keys) - 0.5, -0.5)
         if size is None:
             heading = f"{title}: what decides {words(metric)}"
-            figure.suptitle(escaped(heading), fontsize=9, **as_it_is(title))
+            figure.suptitle(as_it_is(heading), fontsize=9, wrap=True)
     return figure
 
 

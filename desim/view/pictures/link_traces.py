@@ -9,7 +9,6 @@ from desim.analysis.drawing.legends import handles_of
 from desim.analysis.drawing.palette import BLUE, GREY, LOST, LOST_MARK, SERIES
 from desim.analysis.drawing.plots import Axes, Figure, as_it_is, styled
 from desim.config.arrays import Bools, Floats
-from desim.config.escaping import escaped
 from desim.kernel.core.units import SECOND
 from desim.kernel.measured.base import LinkTrace
 from desim.kernel.measured.models import LatencyTrace, LossTrace, SignalTrace
@@ -59,7 +58,7 @@ def link_traces(scenario: Scenario) -> Figure:
         panels = figure.subplots(len(traces), 1, squeeze=False)[:, 0]
         for axes, (key, trace) in zip(panels, traces.items(), strict=True):
             _draw(axes, trace)
-            axes.set_title(escaped(f"{key}: {trace.name}, column {trace.value}"), fontsize=9, **as_it_is(trace.name))
+            axes.set_title(as_it_is(f"{key}: {trace.name}, column {trace.value}"), fontsize=9, wrap=True)
             label = next(label for kind, label in Y_LABELS.items() if isinstance(trace, kind))
             axes.set(xlabel="time of the measurements (s)", ylabel=label)
         handles = handles_of(panels)

@@ -16,11 +16,10 @@ import numpy as np
 from desim.analysis.activity import changes, changes_with_previous, chases, decisions
 from desim.analysis.deliveries import Delivery, Interval, chasing, deliveries, outages
 from desim.analysis.drawing.palette import CAPTURE_MARK, COLLISION_MARK, GREY, LOST, LOST_MARK
-from desim.analysis.drawing.plots import NARROW, Axes, Figure, Style, figure_of, in_style, size_of, styled
+from desim.analysis.drawing.plots import NARROW, Axes, Figure, Style, as_it_is, figure_of, in_style, size_of, styled
 from desim.analysis.trace_index import ended, started
 from desim.config.arguments import value_text
 from desim.config.errors import ArgumentError
-from desim.config.escaping import escaped
 from desim.config.python_numbers import real, whole
 from desim.kernel.core.units import SECOND, nanoseconds, seconds
 from desim.pursuit.core.events import Captured
@@ -116,7 +115,12 @@ def spacetime(
         by_label = draw(axes)
         count = len(started(result).active)
         selection = f", {len(shown)} of {count} pursuers" if len(shown) < count else ""
-        axes.set_title(escaped(f"{result.scenario.name}, seed {result.seed}{selection}"), parse_math=False)
+        part = (
+            ""
+            if window == (0, ended(result).t)
+            else f", {seconds(window.begin):.4g} to {seconds(window.end):.4g} s of {seconds(ended(result).t):.4g} s"
+        )
+        axes.set_title(as_it_is(f"{result.scenario.name}, seed {result.seed}{selection}{part}"), wrap=True)
         figure.legend(
             list(by_label.values()),
             list(by_label),
@@ -144,6 +148,8 @@ def _check(result: Result, shown: Sequence[int], begin: float | None, end: float
             raise ArgumentError("pursuers", f": there is no pursuer {pursuer}: they are 0 .. {size - 1}")
     if len(set(shown)) < len(shown) or not shown:
         raise ArgumentError("pursuers", f"should be given once each, and at least one, got {list(shown)}")
+    if begin is None and end is None and not last:
+        raise ValueError("a run that lasted 0 s has no time to draw")
     if not 0.0 <= (begin or 0.0) < min(inf if end is None else end, last):
         until = "its end" if end is None else f"{end:g} s"
         window = f"the window from {begin or 0.0:g} s to {until}"
@@ -206,12 +212,17 @@ def _draw_pursuers(axes: Axes, result: Result, rows: dict[int, int], window: Int
 
 
 def _draw_outages(axes: Axes, result: Result, rows: dict[int, int], window: Interval) -> None:
-    """Shade the faults: a crash on the line of its pursuer, other faults over the whole height."""
+    """Shade the faults: a crash on the line of its pursuer, other faults over the whole height.
+
+    A fault of one pursuer that is not drawn, such as a liar, is left out.
+    """
     inside = [outage for outage in outages(result) if outage[1].begin < window.end and outage[1].end > window.begin]
     level = 0
     for fault, (begin, end) in inside:
         x = max(begin, window.begin) / SECOND, min(end, window.end) / SECOND
         node, scope = (fault.sketch().get(key) for key in ("node", "scope"))
+        if scope is None and node is not None and node not in rows:
+            continue
         if scope is None:
             axes.axvspan(*x, color=GREY, alpha=0.18, lw=0, zorder=0)
             offset, level = (2, -2 - 8 * level), 1 - level  # labels alternate between two heights
