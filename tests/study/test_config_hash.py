@@ -422,7 +422,9 @@ def test_the_text_of_what_a_module_imports_counts(tmp_path, monkeypatch, changed
     assert found[0] == found[1] != found[2]
 
 
-@pytest.mark.parametrize("body", ["import tuned", "from tuned import GAIN", "def inner():\n        import tuned"])
+@pytest.mark.parametrize(
+    "body", ["import tuned", "from tuned import GAIN", "def inner():\n        import tuned", "import_module('tuned')"]
+)
 def test_the_text_of_what_a_function_of_a_script_imports_counts(tmp_path, monkeypatch, body):
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(sys, "dont_write_bytecode", True)
@@ -780,7 +782,19 @@ def later():
     from .h import i
     from ..j import k
     from ....beyond import n
+    import_module("o.p"), importlib.import_module(".q", __package__), __import__("r"), import_module(s), t("u")
 """
     assert user_code._imported(source, "top.mid") == {
         *("a.b", "c", "e", "e.f", "top.mid", "top.mid.g", "top.mid.h", "top.mid.h.i", "top.j", "top.j.k"),
+        *("o.p", "top.mid.q", "r"),
     }
+
+
+def test_a_global_that_a_function_of_a_script_reads_by_its_name_as_a_text_counts():
+    namespace = {"__name__": "__main__"}
+    exec("GAIN = OTHER = 1\ndef rule(me):\n    return globals()['GAIN']", namespace)
+    found = []
+    for name, value in (("GAIN", 1), ("OTHER", 2), ("GAIN", 2)):
+        namespace[name] = value
+        found.append(stable_hash(namespace["rule"]))
+    assert found[0] == found[1] != found[2]

@@ -19,7 +19,7 @@ The globals of a module and the attributes of its functions and classes count th
 
 import json
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dis import get_instructions
 from functools import cache, cached_property
@@ -277,17 +277,21 @@ class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
 
 
 def globals_read(code: CodeType) -> set[str]:
-    """Return the names of the globals that a function and the functions inside it read."""
-    return {name for operation, name in _operations(code) if operation in {"LOAD_GLOBAL", "LOAD_NAME"}}
+    """Return the names of the globals that a function and the functions inside it read.
+
+    If it calls `globals`, each of its texts may be one of these names, as in `globals()["GAIN"]`.
+    """
+    operations = list(_operations(code))
+    names = {name for operation, name in operations if operation in {"LOAD_GLOBAL", "LOAD_NAME"}}
+    return names.union(_texts(operations)) if "globals" in names else names
 
 
 def _imported(code: CodeType) -> set[str]:
-    """Return the names of the modules that a function and the functions inside it may import."""
+    """Return the names of the modules that a function and the functions inside it may import, also by a text."""
     names, module = set[str](), ""
     operations = list(_operations(code))
     if IMPORTING & {name for operation, name in operations if operation.startswith("LOAD_")}:
-        constants = (constant for operation, constant in operations if operation == "LOAD_CONST")
-        names.update(names_in_texts(text for text in constants if isinstance(text, str)))
+        names.update(names_in_texts(_texts(operations)))
     for operation, name in operations:
         if operation == "IMPORT_NAME":
             module = name
@@ -295,6 +299,11 @@ def _imported(code: CodeType) -> set[str]:
         elif operation == "IMPORT_FROM":  # of a function, or of a module in a package
             names.add(f"{module}.{name}")
     return names
+
+
+def _texts(operations: Iterable[tuple[str, Any]]) -> list[str]:
+    """Return the constants among the arguments of operations that are texts."""
+    return [constant for operation, constant in operations if operation == "LOAD_CONST" and isinstance(constant, str)]
 
 
 def _operations(code: CodeType) -> Iterator[tuple[str, Any]]:

@@ -189,7 +189,10 @@ def _file(name: str) -> Path | None:
 
 @cache
 def _imported(source: bytes, package: str) -> frozenset[str]:
-    """Return the names of all modules that a source in a package may import, also within functions."""
+    """Return the names of all modules that a source in a package may import, also within functions.
+
+    A module that is imported by a text counts if the text is in the call, as in `import_module("rules")`.
+    """
     names: set[str] = set()
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
