@@ -1013,6 +1013,7 @@ def test_every_message_is_delivered_lost_or_in_flight_and_the_same_seed_gives_th
         counts = net.message_counts()
         assert counts.sent == counts.delivered + counts.lost
         assert counts.in_flight == 0
+        assert counts.delivered == sum(len(net.inbox(node).drain()) for node in range(4))
         again, _, _ = history(*models, GRAPHS[graph], load, **options)
         assert again.events == trace.events
 
