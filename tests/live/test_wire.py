@@ -1,6 +1,7 @@
 """Datagrams have the bytes that are counted, say what was sent, and cannot stop a node."""
 
 import contextlib
+import struct
 from dataclasses import dataclass, field
 from functools import cached_property, partial, reduce
 from inspect import getmembers, isclass
@@ -22,7 +23,7 @@ from desim.kernel.transport.layer import PORT as FRAMES
 from desim.live import wire as wire_module
 from desim.live.layouts import WireError, _form_of
 from desim.live.own_bodies import OwnBodies
-from desim.live.wire import ADMITTED, ANNOUNCED, BODIES, PORTS, Wire, datagram_number
+from desim.live.wire import ADMITTED, ANNOUNCED, BODIES, PORTS, Kind, Wire, datagram_number
 from desim.pursuit.team import announcements
 from desim.pursuit.team.announcements import Assignment, Forwarded, LocatedAssignment, MovingAssignment, TimedAssignment
 from desim.pursuit.team.judges import Accusation
@@ -87,6 +88,31 @@ def test_a_message_has_the_bytes_that_are_counted_and_arrives_as_it_was_sent(wir
         datagram = wire.encode(record(body), "", size_of(body), to_one=False)
         assert len(datagram) == size_of(body)
         assert wire.decode(datagram).content == record(body)
+
+
+def at_port(datagram, kind, port_number):
+    """Return a datagram with another kind, and as if it was sent to another port."""
+    (word,) = struct.unpack_from("!I", datagram)
+    word = word & ~(0x1F << 17 | 7 << 13) | port_number << 17 | kind << 13
+    return struct.pack("!I", word) + datagram[4:]
+
+
+@pytest.mark.parametrize("body", EXAMPLES, ids=lambda body: type(body).__name__)
+def test_a_body_arrives_at_the_ports_that_admit_it_and_as_a_record_if_it_is_announced(wire, body):
+    datagram = wire.encode(Message(4, 123_456, body), port_of(body), size_of(body), to_one=True)
+    for port_number, admitted in enumerate(ADMITTED):
+        sent = at_port(datagram, Kind.MESSAGE, port_number)
+        if type(body) in admitted:
+            assert wire.decode(sent).content.body == body
+        else:
+            with pytest.raises(WireError, match="a body at a wrong port"):
+                wire.decode(sent)
+    sent = at_port(datagram, Kind.RECORD, 0)
+    if type(body) in ANNOUNCED:
+        assert wire.decode(sent).content.body == body
+    else:
+        with pytest.raises(WireError, match="a body at a wrong port"):
+            wire.decode(sent)
 
 
 def test_every_body_of_desim_that_is_sent_has_a_layout():

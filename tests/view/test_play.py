@@ -647,6 +647,13 @@ def test_a_request_of_another_form_is_refused(server, body):
     assert asked(server, "POST", f"{path}seeds", body, Origin=own)[0] == 400
 
 
+@pytest.mark.parametrize("length", ["", "x", "-1", "1e3", "0x10", "\u00b2", "1000000000", "9" * 40])
+def test_a_request_of_a_length_that_no_request_has_is_refused_before_its_body_comes(server, length):
+    path = urlsplit(server.address).path
+    own = server.address.removesuffix(path)
+    assert asked(server, "POST", f"{path}seeds", Origin=own, **{"Content-Length": length})[0] == 400
+
+
 def test_each_request_is_answered_by_the_session(server, monkeypatch):
     """The answer of the session is that of the server; a comparison has as many answers as the page asks for."""
     path = urlsplit(server.address).path
