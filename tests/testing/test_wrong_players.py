@@ -2,6 +2,7 @@
 
 import random
 from cmath import phase, rect
+from contextlib import nullcontext
 from typing import ClassVar
 
 import numpy as np
@@ -277,6 +278,34 @@ def test_a_wrong_body_is_told_what_is_wrong_with_it(name):
     model, what = BODIES[name]
     with pytest.raises(ContractError, match=what):
         check_body(model)
+
+
+def scaled(factor, part=1.0):
+    """Return capture times in proportion to the right ones; of several pursuers at once, in proportion to `part`."""
+    return lambda self, *given: Simple().capture_times(*given) * (factor if len(given[0]) == 1 else part * factor)
+
+
+NEARLY = {
+    "capture 0.5 % late": ("check_capture_times", loose(at_once, capture_times=scaled(1.005)), True),
+    "capture 1.5 % late": ("check_capture_times", loose(at_once, capture_times=scaled(1.015)), False),
+    "capture a little early": ("check_capture_times", loose(at_once, capture_times=scaled(1.0 - 5e-7)), True),
+    "capture early": ("check_capture_times", loose(at_once, capture_times=scaled(1.0 - 2e-6)), False),
+    "a little later together": ("check_capture_times", loose(at_once, capture_times=scaled(1.0, 1.0 + 5e-7)), True),
+    "later together": ("check_capture_times", loose(at_once, capture_times=scaled(1.0, 1.0 + 2e-6)), False),
+    "a heading a little long": ("check_headings", loose(at_once, headings=lambda *_: [1.0 + 5e-6] * 5), True),
+    "a heading too long": ("check_headings", loose(at_once, headings=lambda *_: [1.0 + 5e-5] * 5), False),
+    "a little drift": ("check_rest", loose(lambda self, place, *_: Piece(place, Course(5e-7 + 0j, 1.0 + 0j))), True),
+    "drift": ("check_rest", loose(lambda self, place, *_: Piece(place, Course(2e-6 + 0j, 1.0 + 0j))), False),
+}
+"""Methods that are right up to rounding, and those that are just beyond it; each with the part that checks it."""
+
+
+@pytest.mark.parametrize("name", NEARLY)
+def test_a_check_of_a_body_tolerates_errors_of_rounding_and_no_more(name):
+    part, model, passes = NEARLY[name]
+    checked = _Body(subject(model, DYNAMICS, "body"), model)
+    with nullcontext() if passes else pytest.raises(ContractError):
+        getattr(checked, part)()
 
 
 LATE = {
