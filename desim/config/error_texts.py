@@ -17,6 +17,7 @@ BEGINNINGS = {
     "Input should be a valid boolean": "should be true or false",
     "Input should be a valid ": "should be a ",
     "Input should ": "should ",
+    "Keys should be strings": "should be a text, the name of a key",
 }
 """The beginnings of all other messages, and their replacements; the first that fits counts."""
 

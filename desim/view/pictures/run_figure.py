@@ -57,13 +57,16 @@ def plot(
     if kind == "spacetime":
         return spacetime(result, begin, end, pursuers, size, style=style, ax=ax)
     if kind != "trajectory":
-        file: object = kind
-        is_file = isinstance(file, str | PathLike) and Path(file).suffix
-        hint = f"; plot(result).savefig({str(kind)!r}) writes the figure" if is_file else ""
-        raise ValueError(f"kind should be trajectory or spacetime, got {value_text(kind)}{hint}")
+        raise ValueError(f"kind should be trajectory or spacetime, got {value_text(kind)}{_if_file(kind)}")
     if (begin, end, pursuers) != (None, None, None):
         raise ValueError("begin, end and pursuers are options of the kind spacetime")
     return trajectory(result, size, style=style, ax=ax)
+
+
+def _if_file(kind: object) -> str:
+    """Return the end of a message that says how a figure is written, if the name of a file was given as its kind."""
+    is_file = isinstance(kind, str | PathLike) and Path(kind).suffix
+    return f"; plot(result).savefig({str(kind)!r}) writes the figure" if is_file else ""
 
 
 def html_picture(result: Result) -> str:
