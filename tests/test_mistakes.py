@@ -239,6 +239,8 @@ CALLS: dict[str, tuple[Any, ...]] = {
     "desim.explain(SHORT, metrics=np.array([1, 2]))": ("metrics should be functions by name", "array([1, 2])"),
     "desim.sweep(SHORT, {}, metrics=np.array([1, 2]))": ("metrics should be functions by name", "array([1, 2])"),
     "desim.sweep(SHORT, GRID, until=np.array([1, 2, 3]))": ("until should be a metric and a half width", "array("),
+    "desim.compare(SWEPT, SWEPT).table('active_time')": ("it is table(*, format='text')",),
+    "desim.compare(SWEPT, SWEPT).table(fmt='latex')": ("argument 'fmt'", "it is table(*, format='text')"),
     "SWEPT.table(3)": ("names of metrics or columns should be a list of texts", "got 3"),
     "SWEPT.table([3])": ("names of metrics or columns should be a list of texts", "got [3]"),
     "SWEPT.table(against='sap')": ("against should be a dict", "got 'sap'"),

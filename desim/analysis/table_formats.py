@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from typing import ClassVar, Literal, get_args
 
 from desim.analysis.tables import aligned
-from desim.config.arguments import value_text
+from desim.config.arguments import naming_arguments, value_text
 from desim.config.escaping import escaped
 from desim.config.html import html_table
 from desim.config.suggestion import close_to
@@ -52,6 +52,7 @@ class TabularResult:
         """Return the first column that is aligned to the right."""
         return 1
 
+    @naming_arguments
     def table(self, *, format: TableFormat = "text") -> str:  # noqa: A002 - the clearest name for users
         """Return the tables and the notes: text, latex (booktabs) or markdown.
 

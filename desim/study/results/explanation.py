@@ -13,7 +13,7 @@ from desim.analysis.metrics import with_unit, words
 from desim.analysis.statistics import Estimate, Share, wilson
 from desim.analysis.table_formats import Table, TableFormat, TabularResult
 from desim.analysis.tables import aligned, as_json, digits_in, number, percent, with_half_width
-from desim.config.arguments import without_addresses
+from desim.config.arguments import naming_arguments, without_addresses
 from desim.config.extras import naming_extras
 from desim.config.number_texts import counted
 from desim.kernel.core.portable_math import portable_sum
@@ -68,6 +68,7 @@ class Explanation(TabularResult):
         """Return the table of costs as its title and rows of text; the first row is the header."""
         return [(self._head(), self.rows())]
 
+    @naming_arguments
     def table(self, *, format: TableFormat = "text") -> str:  # noqa: A002 - the usual word
         """Return the costs as a table: text, latex (booktabs) or markdown.
 
