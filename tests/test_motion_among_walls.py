@@ -140,6 +140,38 @@ def test_pursuers_expect_the_time_of_the_path():
     assert phi[0] == pytest.approx(bound(made, 0), abs=1e-12)
 
 
+FAR = {"line": [[900.0, 0.0], [900.0, 9.0]], "blocks": ["motion"]}
+"""A wall that no line between players meets."""
+LOST = {"sensing.radius": 3.0, "sensing.estimate": "constant_velocity", "team.positions": [[-4.0, 0.0], [0.0, 2.0]]}
+"""One of two pursuers loses the evader, and goes where it expects it."""
+IN_THE_PLANE = {
+    "evader lost": LOST,
+    "as it is": {},
+    "evader lost, all move at once": LOST | {"motion.order": "simultaneous"},
+    "evader held": LOST | {"sensing.estimate": "hold"},
+    "noise": {"sensing.noise": 0.1, "sensing.estimate": "hold"},
+    "tracked": {"sensing.noise": 0.1, "sensing.estimator": {"kind": "alpha_beta"}},
+    "all move at once": {"motion.order": "simultaneous"},
+    "late to react": {"evader.reaction_delay": 0.2},
+    "near-sighted evader": {"evader.sensing_range": 1.5},
+    "dead reckoning": {"announce.payload": "state", "announce.reckoning": "straight_line"},
+    **{kind: {"evader.strategy": {"kind": kind}} for kind in ("weighted_flee", "zigzag", "diffusion", "max_geodesic")},
+}
+"""Features of a pursuit, each with what depends on paths: what walls change must not be changed by one far away."""
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("name", IN_THE_PLANE)
+def test_a_wall_far_away_changes_nothing(name):
+    two = {"team.count": 2, "team.speeds": SPEED, "team.positions": [[-4.0, 0.0], [0.0, 3.0]]}
+    rest = {"horizon": 1.5, "motion.step": 0.1, "evader.strategy": {"kind": "pure_evasion"}, "record.trajectory": 0.1}
+    plain = scenario(two | rest | IN_THE_PLANE[name] | {"wall": []})
+    free, walled = run(plain).trace, run(plain.with_({"wall": [FAR]})).trace
+    places = [np.array([[*event.pursuers, *event.evaders] for event in trace.of(Sampled)]) for trace in (free, walled)]
+    assert places[1] == pytest.approx(places[0], abs=1e-9)
+    assert len(places[0]) > 5
+
+
 def test_nothing_is_captured_through_a_wall():
     """At a distance of .04 m, within the radius: the evader stands still, so the time is the length of the way."""
     near = {"team.positions": [[-0.02, 0.0]], "evader.position": [0.02, 0.0], "evader.strategy": {"kind": "still"}}

@@ -605,14 +605,13 @@ def test_assumptions_about_what_is_seen_are_told():
     assert times_known(noisy) == "pursuers do not see the evader exactly (`sensing.noise`)"
 
 
-def test_the_environment_of_processes_is_put_back(monkeypatch):
-    name, *others = trust.NO_CWD_IMPORT
-    monkeypatch.setenv(name, "as before")
-    for other in others:
-        monkeypatch.delenv(other, raising=False)
+@pytest.mark.parametrize("before", ["as before", None])
+def test_the_environment_of_processes_is_put_back(before, monkeypatch):
+    for name in trust.NO_CWD_IMPORT:
+        monkeypatch.delenv(name, raising=False) if before is None else monkeypatch.setenv(name, before)
     with trust.no_cwd_import():
         assert os.environ.items() >= trust.NO_CWD_IMPORT.items()
-    assert [os.environ.get(key) for key in (name, *others)] == ["as before", *(None for _ in others)]
+    assert [os.environ.get(name) for name in trust.NO_CWD_IMPORT] == [before for _ in trust.NO_CWD_IMPORT]
 
 
 @pytest.mark.parametrize(
