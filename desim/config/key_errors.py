@@ -99,7 +99,8 @@ class Wording:
             if info is not None and path and path[0] in _tags(info):
                 path.pop(0)
         if error["type"] in {"union_tag_invalid", "import_refused"}:  # pydantic reports these at the table
-            place += ("kind",)
+            key = str(error.get("ctx", {}).get("discriminator", "kind")).strip("'")
+            place += (key if key.isidentifier() else "kind",)
         return place, owner, info
 
     def _reason(
@@ -111,12 +112,12 @@ class Wording:
         kinds = list(one_of.choices()) if one_of else []
         if error_type == "extra_forbidden":
             return self._unknown_key(place, owner, context.get("allowed"))
-        if error_type == "union_tag_invalid":
+        if error_type == "union_tag_invalid" and kinds:
             tag = without_addresses(str(context["tag"]))
             code = f", write '{tag[:-3]}:NAME' for what {tag} defines" if tag.endswith(".py") else ""
             hint = code or suggestion(tag, kinds)
             return f"there is no {tag!r}{hint}; allowed: {', '.join(kinds)}"
-        if error_type == "union_tag_not_found" or (error_type in NOT_A_TABLE and kinds):
+        if kinds and error_type in {"union_tag_not_found", *NOT_A_TABLE}:
             if self.is_call:
                 what = f"a kind, {kinds[0]!r} for instance, a built-in model or an object that can be called"
                 return f"should be {what}; allowed: {', '.join(kinds)}"
@@ -150,7 +151,8 @@ class Wording:
         """Return the text about a value in place of a table."""
         value = error["input"]
         if self.is_call:
-            name = error["ctx"]["class_name"]
+            if (name := error.get("ctx", {}).get("class_name")) is None:  # of a union that a user's model has
+                return "should be a table"
             if isinstance(value, type):
                 return f"should be {with_article(name)}, not a class: {name}()"
             return f"should be {with_article(name)} or a table of its keys{_wrapped(value, info)}"

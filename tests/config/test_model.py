@@ -415,3 +415,41 @@ def test_a_value_with_a_private_attribute_is_pickled():
     scenario = Scenario()
     scenario._note = "mine"
     assert pickle.loads(pickle.dumps(scenario)) == scenario
+
+
+class Road(Value):
+    """Has lanes."""
+
+    surface: Literal["road"] = "road"
+    lanes: int = 2
+    """Number of lanes."""
+
+
+class Track(Value):
+    """Has rails."""
+
+    surface: Literal["track"] = "track"
+
+
+class Way(Value):
+    """A user's model, with a union that pydantic tells apart by a key."""
+
+    part: Annotated[Road | Track, Field(discriminator="surface")] = Road()
+    """What it is made of."""
+
+
+NO_PARTS = [
+    (3, "part: should be a table; What it is made of (got 3)"),
+    (None, "part: should be a table; What it is made of (got None)"),
+    ([1], "part: should be a table; What it is made of (got [1])"),
+    ({}, "part: should be a table with the key surface; What it is made of (got {})"),
+    ({"surface": "sea"}, "part.surface: there is no 'sea'; allowed: road, track"),
+]
+"""Values that are no part of a way, and what is said."""
+
+
+@pytest.mark.parametrize(("value", "told"), NO_PARTS, ids=str)
+def test_the_union_of_a_users_model_is_refused_in_the_words_of_others(value, told):
+    assert Way(part={"surface": "track"}).part == Track()
+    with pytest.raises(KeyedError, match=f"^Way: {re.escape(told)}$"):
+        Way(part=value)
