@@ -8,6 +8,7 @@ import sys
 from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules, walk_packages
+from types import SimpleNamespace
 
 import pytest
 
@@ -104,6 +105,18 @@ def test_no_other_class_has_the_name_of_a_public_one():
 def test_the_names_are_known_without_importing_their_modules():
     program = "import sys, desim, protocols; dir(desim), dir(protocols); sys.exit('numpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
+
+
+def test_before_a_module_is_imported_a_package_that_hides_the_protocols_is_looked_for(monkeypatch):
+    """Not before each access: that would cost time."""
+    asked = []
+    monkeypatch.setattr(desim, "check_visible", asked.append)
+    assert desim.__getattr__("Scenario") is desim.Scenario
+    assert asked == []
+    monkeypatch.delitem(sys.modules, desim._HOMES["Scenario"])
+    monkeypatch.setattr(desim, "import_module", lambda home: SimpleNamespace(Scenario=home))
+    assert desim.__getattr__("Scenario") == desim._HOMES["Scenario"]
+    assert asked == ["protocols"]
 
 
 @pytest.mark.slow

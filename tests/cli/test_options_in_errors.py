@@ -95,6 +95,22 @@ def test_an_option_is_spelled_as_it_was_typed_last(words, forms):
     assert [line[: len(form)] for line, form in zip(lines, forms, strict=True)] == forms
 
 
+def commands(group=main, above=()):
+    """Yield every command with the words that call it."""
+    for name, command in group.commands.items():
+        yield (*above, name), command
+        if isinstance(command, click.Group):
+            yield from commands(command, (*above, name))
+
+
+def test_each_option_has_its_short_form_first_as_its_errors_name_it():
+    several = {
+        (words, tuple(param.opts)) for words, command in commands() for param in command.params if param.opts[1:]
+    }
+    assert len(several) > 50
+    assert [each for each in several if not 2 == len(each[1][0]) < len(each[1][1])] == []
+
+
 OF_PICTURES = {
     "-y": ("active_time", {"means", "phase", "scatter", "contour"}),
     "-x": ("team.count", {"means"}),
