@@ -257,13 +257,7 @@ class _Search:
             verdicts = violation.protocols(self.jobs, timeout=self.timeout)
             texts += ["", protocols_text(verdicts, self.prop), "", self._draw(violation.scenario, violation)]
             document["violation"] = {
-                "seed": violation.seed,
-                "case": violation.case,
-                "first": violation.first,
-                "searched": violation.searched,
-                "shrunk": violation.shrunk,
-                "verdict": violation.verdict._asdict(),
-                "failure": violation.failure,
+                **violation.document(),
                 "protocols": {k: v if isinstance(v, str) else v._asdict() for k, v in verdicts.items()},
                 "file": str(self.smallest),
             }
@@ -299,29 +293,7 @@ class _Search:
             text = with_comment(broken, self.prop, worst.seed, lines, self.file.parent.absolute())
             self._write_smallest(text, broken.protocol_name, worst.seed)
             texts += ["", self._draw(broken, worst)]
-        document = {
-            "most": table.most,
-            "fates": table.fates,
-            "delay": table.delay,
-            "seeds": table.seeds,
-            "runs": table.runs,
-            "skipped": table.skipped,
-            "symmetric": table.symmetric,
-            "messages": table.messages,
-            "violated_without_losses": table.broken,
-            "fatal": [
-                {
-                    "seed": fatal.seed,
-                    "messages": [
-                        {"fate": fate, **copy._asdict()} for copy, fate in zip(fatal.messages, fatal.fates, strict=True)
-                    ],
-                    "verdict": fatal.verdict._asdict(),
-                    "failure": fatal.failure,
-                }
-                for fatal in table.fatal
-            ],
-        }
-        self._end(document, texts, is_violated=bool(table.fatal or table.broken))
+        self._end(table.document(), texts, is_violated=bool(table.fatal or table.broken))
 
     def _remove_earlier(self) -> None:
         """Remove the smallest violation of an earlier search, unless this search has read it."""

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from math import inf
-from typing import Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 from desim.analysis.properties import Judgement
 from desim.config.number_texts import counted
@@ -33,6 +33,16 @@ class FatalLosses(NamedTuple):
         """The faults that give the messages these fates, to be added to the scenario."""
         numbers = [copy.number for copy in self.messages]
         return message_faults(zip(numbers, self.fates, strict=True), self.delay)
+
+    def document(self) -> dict[str, Any]:
+        """Return the choice as values of JSON, except for numbers that are not finite."""
+        messages = zip(self.messages, self.fates, strict=True)
+        return {
+            "seed": self.seed,
+            "messages": [{"fate": fate, **copy._asdict()} for copy, fate in messages],
+            "verdict": self.verdict._asdict(),
+            "failure": self.failure,
+        }
 
 
 @dataclass
@@ -83,6 +93,21 @@ class LossTable:
         if not lines:
             return f"no violation with at most {messages} ({runs}, {seeds})"
         return "\n".join([*lines, f"at most {messages}: {runs}, {seeds}"])
+
+    def document(self) -> dict[str, Any]:
+        """Return the table as values of JSON, except for numbers that are not finite."""
+        return {
+            "most": self.most,
+            "fates": self.fates,
+            "delay": self.delay,
+            "seeds": self.seeds,
+            "runs": self.runs,
+            "skipped": self.skipped,
+            "symmetric": self.symmetric,
+            "messages": self.messages,
+            "violated_without_losses": self.broken,
+            "fatal": [fatal.document() for fatal in self.fatal],
+        }
 
 
 def message_faults(fates: Iterable[tuple[int, MessageFate]], delay: float) -> tuple[MessageFault, ...]:

@@ -85,6 +85,18 @@ class Violation:
             kind: case_run.failure or case_run.verdict for kind, case_run in zip(planned, runs, strict=True)
         }
 
+    def document(self) -> dict[str, Any]:
+        """Return the violation, without its scenario, as values of JSON, except for numbers that are not finite."""
+        return {
+            "seed": self.seed,
+            "case": self.case,
+            "first": self.first,
+            "searched": self.searched,
+            "shrunk": self.shrunk,
+            "verdict": self.verdict._asdict(),
+            "failure": self.failure,
+        }
+
 
 @dataclass
 class Search:
