@@ -83,6 +83,22 @@ def test_a_share_within_the_scatter_is_not_decided():
     assert "is not decided at network.latency.value = 0.4 s" in str(found)
 
 
+def test_an_undecided_value_among_those_of_the_sentence_is_told():
+    """At one value of the key the runs scatter by 3 on both sides of the share; the means do not cross it there."""
+    scatter = np.array([[3.0], [-3.0], [3.0], [-3.0]])
+    base = np.array([[9.0], [10.0], [11.0], [10.0]])
+    doubt = "though not decided at every value"
+    for by_value, k, where in (
+        ([1.0, 1.05, 0.8, 0.6], 1, " up to 0.4 s, "),
+        ([1.0, 1.3, 1.13, 1.4], 2, " s), "),
+    ):
+        without = base * np.array(by_value)
+        assert doubt not in str(threshold_of(without))
+        found = threshold_of(without + scatter * (np.arange(4) == k))
+        assert any(low <= X[k] <= high for low, high in found.undecided)
+        assert f"{where}{doubt}; at 0.4 s" in str(found)
+
+
 def test_what_has_no_threshold_is_refused(tmp_path):
     for over in (0.0, -1.0, inf):
         with pytest.raises(ValueError, match=r"over should be a share, 0\.1 for 10 %"):

@@ -68,6 +68,19 @@ class Threshold:
     relative_means: tuple[float, float]
     """The relative differences of the means at these two ends."""
     confidence: float
+    undecided: tuple[CrossoverInterval, ...] = ()
+    """The intervals of values of the key at which it is not decided whether the mean exceeds the share, ascending."""
+
+    @property
+    def _doubt(self) -> str:
+        """A note on undecided values among those of which the sentence speaks, as text; "" if there are none."""
+        if self.at is None:
+            doubted = self.undecided
+        elif self.is_beyond:
+            doubted = tuple(part for part in self.undecided if part[0] > self.high)
+        else:
+            doubted = tuple(part for part in self.undecided if part[1] < self.low)
+        return ", though not decided at every value" if doubted else ""
 
     def __str__(self) -> str:
         unit = f" {name}" if (name := unit_of_key(self.key, Scenario)) else ""
@@ -82,13 +95,15 @@ class Threshold:
             sentence += "" if self.at is None else f"; the means cross at {self.at:.3g}{unit}{interval}"
         elif self.at is not None:
             where = f"from {self.key} = {self.at:.3g}{unit} {'on' if self.is_beyond else 'down'}"
-            sentence = f"{subject.format('more than')} {where}{interval}"
+            sentence = f"{subject.format('more than')} {where}{interval}{self._doubt}"
         elif self.is_beyond:
-            sentence = f"{subject.format('more than')} at all of {self.key} from {low:g} to {high:g}{unit}"
+            sentence = f"{subject.format('more than')} at all of {self.key} from {low:g} to {high:g}{unit}{self._doubt}"
         else:
             sentence = f"{subject.format('not more than')} up to {high:g}{unit}"
             if self.crossings:
                 sentence += f", though in between: the means cross {len(self.crossings)} times"
+            else:
+                sentence += self._doubt
         end = 0 if self.at is not None and self.is_beyond is False else 1
         less, more = self.relative[end]
         at_end = f"at {self.span[end]:g}{unit} it is {100 * self.relative_means[end]:+.3g} %"
@@ -162,6 +177,7 @@ class Threshold:
             (_relative(ends[0], bases, confidence), _relative(ends[1], bases, confidence)),
             (float(ends[0].mean() / bases.mean()) - 1.0, float(ends[1].mean() / bases.mean()) - 1.0),
             confidence,
+            tuple(undecided),
         )
 
 
