@@ -26,7 +26,7 @@ from tests.study import by_hand as made
 from tests.study.by_hand import LATENCY, RULES, TIMES
 from tests.study.test_crossover import KEY, A, B, X, sweep_of
 
-PARTS = {"Saving", "Bounds", "Conduct", "Property", "Printable", "Entry"}
+PARTS = {"Saving", "Bounds", "Conduct", "Property", "Printable", "Entry", "FatalLosses", "Violation"}
 """Classes that are shown only as parts of others, or are none."""
 
 

@@ -6,6 +6,7 @@ from math import inf
 from typing import Any, Literal, NamedTuple, get_args
 
 from desim.analysis.properties import Judgement
+from desim.config.json_numbers import to_json
 from desim.config.number_texts import counted
 from desim.kernel.models.faults import MessageFault
 from desim.study.breaking.copies import MessageCopy
@@ -35,14 +36,17 @@ class FatalLosses(NamedTuple):
         return message_faults(zip(numbers, self.fates, strict=True), self.delay)
 
     def document(self) -> dict[str, Any]:
-        """Return the choice as values of JSON, except for numbers that are not finite."""
+        """Return the choice as JSON-compatible values."""
         messages = zip(self.messages, self.fates, strict=True)
-        return {
-            "seed": self.seed,
-            "messages": [{"fate": fate, **copy._asdict()} for copy, fate in messages],
-            "verdict": self.verdict._asdict(),
-            "failure": self.failure,
-        }
+        document: dict[str, Any] = to_json(
+            {
+                "seed": self.seed,
+                "messages": [{"fate": fate, **copy._asdict()} for copy, fate in messages],
+                "verdict": self.verdict._asdict(),
+                "failure": self.failure,
+            }
+        )
+        return document
 
 
 @dataclass
@@ -95,19 +99,22 @@ class LossTable:
         return "\n".join([*lines, f"at most {messages}: {runs}, {seeds}"])
 
     def document(self) -> dict[str, Any]:
-        """Return the table as values of JSON, except for numbers that are not finite."""
-        return {
-            "most": self.most,
-            "fates": self.fates,
-            "delay": self.delay,
-            "seeds": self.seeds,
-            "runs": self.runs,
-            "skipped": self.skipped,
-            "symmetric": self.symmetric,
-            "messages": self.messages,
-            "violated_without_losses": self.broken,
-            "fatal": [fatal.document() for fatal in self.fatal],
-        }
+        """Return the table as JSON-compatible values."""
+        document: dict[str, Any] = to_json(
+            {
+                "most": self.most,
+                "fates": self.fates,
+                "delay": self.delay,
+                "seeds": self.seeds,
+                "runs": self.runs,
+                "skipped": self.skipped,
+                "symmetric": self.symmetric,
+                "messages": self.messages,
+                "violated_without_losses": self.broken,
+                "fatal": [fatal.document() for fatal in self.fatal],
+            }
+        )
+        return document
 
 
 def message_faults(fates: Iterable[tuple[int, MessageFate]], delay: float) -> tuple[MessageFault, ...]:

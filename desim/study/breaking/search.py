@@ -9,6 +9,7 @@ from typing import Any
 from desim.analysis.properties import Judgement, Stated, stated, under_protocol
 from desim.config.arguments import naming_arguments, scenario_argument, value_text
 from desim.config.errors import ArgumentError
+from desim.config.json_numbers import to_json
 from desim.config.python_numbers import real, whole
 from desim.config.suggestion import did_you_mean
 from desim.kernel.core.seeds import run_seed, stream
@@ -86,16 +87,19 @@ class Violation:
         }
 
     def document(self) -> dict[str, Any]:
-        """Return the violation, without its scenario, as values of JSON, except for numbers that are not finite."""
-        return {
-            "seed": self.seed,
-            "case": self.case,
-            "first": self.first,
-            "searched": self.searched,
-            "shrunk": self.shrunk,
-            "verdict": self.verdict._asdict(),
-            "failure": self.failure,
-        }
+        """Return the violation, without its scenario, as JSON-compatible values."""
+        document: dict[str, Any] = to_json(
+            {
+                "seed": self.seed,
+                "case": self.case,
+                "first": self.first,
+                "searched": self.searched,
+                "shrunk": self.shrunk,
+                "verdict": self.verdict._asdict(),
+                "failure": self.failure,
+            }
+        )
+        return document
 
 
 @dataclass
