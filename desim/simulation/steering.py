@@ -161,10 +161,11 @@ class Steering:
         geometry = place - position, aim - position, evader_velocity, self._speed_of[pursuer]
         return self._command(pursuer, *geometry, now, until)
 
-    def _course(self, pursuer: int, aim: complex, now: int, until: int) -> complex:
+    def _course(self, pursuer: int, aim: complex, now: int, until: int, *, stops: bool = False) -> complex:
         """Return the velocity, m/s, with which a pursuer follows the shortest path to where it aims (m)."""
         assert self._walled is not None
-        velocity, turn = self._walled.course(self._players.position(pursuer), aim, self._speed_of[pursuer], now, until)
+        here, speed = self._players.position(pursuer), self._speed_of[pursuer]
+        velocity, turn = self._walled.course(here, aim, speed, now, until, stops=stops)
         if turn < until:
             self.turns[pursuer] = turn
         return velocity
@@ -228,7 +229,7 @@ class Steering:
         duration = seconds(until - now)
         if self._walled is not None:
             ahead = estimate.velocity * duration if self._evader_first else 0j
-            return self._course(pursuer, self._walled.free_place(estimate.position + ahead), now, until)
+            return self._course(pursuer, self._walled.free_place(estimate.position + ahead), now, until, stops=True)
         gap = estimate.position - self._players.position(pursuer)
         aim = gap + (estimate.velocity * duration if self._evader_first else 0j)
         speed = min(self._speed_of[pursuer], abs(aim - self._drift(pursuer, 0j, now, until) * duration) / duration)

@@ -203,10 +203,14 @@ class Walled(Plane):
         place = next((end for end in self.paths.path(here, aim)[2:] if abs(end - here) > reach), aim)
         return place - here, place == aim
 
-    def course(self, here: complex, aim: complex, speed: float, now: int, until: int) -> tuple[complex, int]:
+    def course(
+        self, here: complex, aim: complex, speed: float, now: int, until: int, *, stops: bool
+    ) -> tuple[complex, int]:
         """Return the velocity, m/s, of a player that follows the shortest path, and the time, ns, until which it holds.
 
-        A player close to the aim slows down and arrives at the end of the step, so that it does not overshoot.
+        A player that is closer to the aim than a motion step keeps its speed through the aim, as in the plane: where
+        it chases an evader, the aim may be behind the evader. It slows down and arrives at the end of the step if it
+        is to stop there, or if a wall is in the way.
 
         Args:
             here: its position, m.
@@ -214,19 +218,24 @@ class Walled(Plane):
             speed: its speed, m/s.
             now: the present, ns.
             until: the end of the motion step, ns.
+            stops: whether it is to stop at the aim.
         """
         piece, is_last = self.leg(here, aim, speed)
         length = abs(piece)
         if not length or not speed:
             return 0j, until
         if is_last:
-            return piece / length * min(speed, length / seconds(until - now)), until
+            duration = seconds(until - now)
+            velocity = piece / length * speed
+            if length < speed * duration and (stops or not self._is_free(here, velocity * duration)):
+                velocity = piece / duration
+            return velocity, until
         return piece / length * speed, min(now + ceil(length / speed * SECOND), until)
 
     def advance(self, here: complex, aim: complex, speed: float, now: int, end: int, until: int) -> complex:
-        """Return the position, m, at a time `end` (ns) of a player that follows the shortest path; see `course`."""
+        """Return the position, m, at a time `end` (ns) of a pursuer that chases along the shortest path."""
         while now < end:
-            velocity, turn = self.course(here, aim, speed, now, until)
+            velocity, turn = self.course(here, aim, speed, now, until, stops=False)
             turn = min(turn, end)
             here += velocity * seconds(turn - now)
             now = turn
@@ -235,6 +244,10 @@ class Walled(Plane):
     def slide(self, place: complex, way: complex) -> complex:
         """Return the displacement, m, of a player that intends the displacement `way` (m) and slides along walls."""
         return self.obstacles.slide(place, way)
+
+    def _is_free(self, place: complex, way: complex) -> bool:
+        """Return whether no wall is in the way, m, from a place."""
+        return self.obstacles.slide(place, way) == way
 
     def contact(
         self,
