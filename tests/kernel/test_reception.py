@@ -1,6 +1,6 @@
 """Every model of the reach against its formula, and the links that a topology draws from it."""
 
-from math import erf, inf, log10, pi, sqrt
+from math import erf, inf, log10, nextafter, pi, sqrt
 
 import networkx as nx
 import numpy as np
@@ -12,7 +12,16 @@ from scipy.spatial import cKDTree
 from scipy.special import i0e
 from scipy.stats import gamma
 
-from desim.kernel.models.reception import Disk, LogDistance, Nakagami, QuasiUnitDisk, Rice, bound
+from desim.kernel.models.reception import (
+    RECEPTION_MODELS,
+    Disk,
+    LogDistance,
+    Nakagami,
+    QuasiUnitDisk,
+    Rice,
+    bound,
+)
+from desim.kernel.models.traits import ReceptionTraits
 from desim.kernel.topology.topology import Topology
 
 SEEDS = range(5)
@@ -110,6 +119,20 @@ def test_beyond_its_bound_nothing_is_received_and_a_little_nearer_something_may(
     assert model(np.array([np.nextafter(far, inf)]), 10.0) < 2.0**-53
     assert model(np.array([0.9 * far]), 10.0) > 2.0**-53
     assert far == pytest.approx(10.0 * bound(model, 1.0))
+
+
+WITH_ONE = [model() for model in RECEPTION_MODELS.choices().values() if ReceptionTraits.of(model()).one is not None]
+
+
+@pytest.mark.parametrize("model", WITH_ONE, ids=lambda model: model.kind)
+@pytest.mark.parametrize("reach", [10.0, 0.3])
+def test_the_probability_at_one_distance_is_that_at_several_to_the_last_bit(model, reach):
+    """Also at each distance at which a model is told to change: its range, and the certain share of it."""
+    shares = [share for share in dict(model).values() if isinstance(share, float) and 0.0 < share < 1.0]
+    borders = [share * reach for share in (1.0, *shares)]
+    near = [nextafter(border, side) for border in borders for side in (0.0, inf)]
+    distances = [0.0, *borders, *near, *np.linspace(0.0, 3.0 * reach, 50).tolist()]
+    assert [model.one(distance, reach) for distance in distances] == model(np.array(distances), reach).tolist()
 
 
 def test_a_model_without_a_maximum_range_is_unbounded():

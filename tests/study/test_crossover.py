@@ -165,6 +165,15 @@ def test_equal_curves_are_told_apart_no_more_often_than_the_level_says():
     assert uncorrected / 600 > 0.05 + 3 * 0.009
 
 
+def test_a_difference_at_the_crossing_itself_tells_no_curves_apart():
+    """The curves differ at the first value, and beyond it by their scatter only."""
+    apart = np.array([[5.0, -0.1, 0.01], [5.1, 0.1, -0.02], [4.9, 0.0, 0.03], [5.0, 0.05, 0.01]])
+    assert are_told_apart([0.0, 1.0, 2.0], apart, None, 0.95)
+    assert are_told_apart([0.0, 1.0, 2.0], apart, -1.0, 0.95)
+    assert not are_told_apart([0.0, 1.0, 2.0], apart, 0.0, 0.95)
+    assert not are_told_apart([0.0, 1.0, 2.0], apart, 0.5, 0.95)
+
+
 def test_means_that_cross_without_being_told_apart_beyond_have_no_winner():
     """Of equal curves whose interval is bounded by chance: there is no winner."""
     rng = np.random.default_rng(12)
