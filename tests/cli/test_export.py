@@ -141,7 +141,7 @@ def test_what_makes_no_sense_is_refused(recorded, tmp_path):
     assert "--event chooses events of a run" in refused("export", both, to, "--event", "Lost")
     assert not to.exists()
     with pytest.raises(ValueError, match=rf"x\.txt: {suffixes}"):
-        export(None, tmp_path / "x.txt")
+        export(SimpleNamespace(trace=None), tmp_path / "x.txt")
     assert not (tmp_path / "x.txt").exists()
 
 
