@@ -152,6 +152,15 @@ def test_a_command_is_suggested_for_its_name_in_other_programs():
             assert f"No such command '{word}'. Did you mean 'desim {command}'?" in refused(word)
 
 
+def test_a_scenario_file_or_a_script_in_place_of_a_command_is_told_how_to_run(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "relay").write_text("")
+    for word in ("missing.toml", "relay", "./relay"):
+        assert f"No such command '{word}'. To run a scenario file, type: desim run {word}" in refused(word)
+    assert "No such command 'x.py'. A script is run by Python: python x.py" in refused("x.py")
+    assert "desim run" not in refused("missing")
+
+
 NEEDED = {
     "check": "needs FILE: a scenario file; `desim examples relay` writes relay.toml, for instance",
     "compare": "needs A: the folder of a sweep, which `desim sweep FILE -o DIR` writes",

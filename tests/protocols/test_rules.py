@@ -22,6 +22,7 @@ from desim.pursuit.game.game import gain, relay_profile
 from desim.pursuit.game.utility import Component, EdgePenalty, LocalMean, Mean, Minimum
 from desim.pursuit.team.announcements import Announcements, Assignment, TimedAssignment
 from desim.pursuit.team.beliefs import Belief
+from desim.pursuit.team.trust import Credulous, Trimmed
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import PROTOCOLS, Motion, Recording
 from protocols.best_response import BestResponse, BetterReply
@@ -463,6 +464,24 @@ def test_beliefs_cover_all_known_teammates_and_believed_chasers_only_the_active_
         beliefs = {j: Belief(j == 2, phi[j], age) for j in (1, 2)}
         assert seen[t] == (beliefs, {2: phi[2]}, [2], records, 2)
     assert seen[1.500000001] == ({}, {}, [], {}, 2)
+
+
+@pytest.mark.parametrize(("trust", "believed"), [(Credulous(), {1, 2}), (Trimmed(liars=1), {2})])
+def test_a_pursuer_believes_whom_its_judge_does_not_ignore(trust, believed):
+    """Pursuer 0 needs 0.9 s. The least and the greatest time are ignored, if they are less and greater than its own."""
+
+    def protocol(me):
+        yield me.at(0.25 * (me.id + 1))
+        if me.id:
+            me.publish(TimedAssignment(True, {1: 0.5, 2: 0.9}[me.id]))
+        else:
+            yield me.at(0.9)
+            seen.append((me.beliefs().keys(), me.believed_chasers().keys()))
+
+    seen = []
+    announce = Announcements(trigger="never", start="silent", belief_timeout=1.0, payload="time", trust=trust)
+    act(protocol, announce=announce)
+    assert seen == [(believed, believed)]
 
 
 @pytest.mark.parametrize(("payload", "believed"), [("time", 7.0), ("action", 1.9)])

@@ -180,6 +180,15 @@ def test_the_ends_of_a_bootstrap_are_expanded_to_those_of_student():
     assert bootstrap_ends(10)[0] == pytest.approx(100.0 * stats.norm.cdf(-sqrt(10 / 9) * stats.t.ppf(0.975, 9)))
 
 
+@pytest.mark.parametrize(
+    ("value", "low", "of_chance", "is_within"),
+    [(1.0, 0.5, 0.5, True), (1.0, 0.5, 0.4, False), (1.0, 0.0, 0.0, True), (0.0, 0.0, 0.5, False)],
+)
+def test_an_effect_is_within_chance_if_its_interval_reaches_that_of_chance(value, low, of_chance, is_within):
+    estimate = IndexEstimate(value, low, 2.0)
+    assert ElementaryEffects((estimate,), (0.0,), (0.0,), (of_chance,)).within_chance() == [0] * is_within
+
+
 @pytest.mark.slow
 def test_an_effect_of_chance_alone_is_told_from_that_of_an_input():
     """300 screenings with four seeds: the first input has an effect of 3, the others change the luck of a run only.

@@ -118,7 +118,7 @@ def test_requests_of_another_form_and_wrong_ones_have_an_error(widget):
     sent.clear()
     asked(made, 2, "seeds", now=["team.count=0"], pinned=[], count=1)
     until(lambda: sent and sent[-1]["isLast"])
-    assert [each["number"] for each in sent] == [2, 2]
+    assert [(each["number"], each["isLast"]) for each in sent] == [(2, False), (2, True)]
     assert "team.count" in sent[0]["answer"]["error"]
 
 
