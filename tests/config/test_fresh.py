@@ -33,7 +33,7 @@ from desim.analysis.metrics import Metric
 from desim.config import copier
 from desim.config.choice import choices_of
 from desim.config.fresh import Remembered, StateError, fresh_copy
-from desim.config.shared_state import StateWarning
+from desim.config.shared_state import StateWarning, _cached
 from desim.kernel.models.graphs import Ring
 from desim.kernel.models.links import Links
 from desim.scenario.checks import warnings
@@ -1318,3 +1318,18 @@ def test_watchers_belong_to_the_caller_and_are_not_copied():
     watcher = Count()
     result = run(Scenario(team=Team(count=3), horizon=0.1), 1, watcher)
     assert watcher.events >= len(result.trace) > 0
+
+
+@pytest.mark.parametrize(
+    ("maxsize", "count", "kept"),
+    [(size, *counts) for size in (None, 500) for counts in ((0, 0), (1, 1), (100, 100), (101, 0))],
+)
+def test_up_to_a_hundred_values_of_a_cache_are_compared(maxsize, count, kept):
+    @functools.lru_cache(maxsize=maxsize)
+    def squares(number):
+        return [number**2]
+
+    for number in range(count):
+        squares(number)
+    values = [value for value in _cached(squares, lambda value: value).values() if isinstance(value, list)]
+    assert sorted(values) == [[number**2] for number in range(kept)]
