@@ -135,6 +135,31 @@ def test_a_place_on_a_side_of_a_box_is_seen_from_outside_of_this_side_only(ring)
     assert [obstacles.clear(other, np.array([1 + 0j])).item() for other in others] == seen
 
 
+@pytest.mark.parametrize("reverse", [False, True])
+def test_a_corner_sees_all_to_which_no_line_leads_through_a_box(reverse):
+    """From each corner of two boxes, to places on a grid, many of which lie behind a side or a corner.
+
+    Between two boxes, and along their sides, lines are free; samples of a line lie strictly within a box if it crosses
+    the box.
+    """
+    boxes = [(0.0, 0.0, 4.0, 2.0), (8.0, 4.0, 10.0, 6.0)]
+    rings = [[[a, b], [c, b], [c, d], [a, d]] for a, b, c, d in boxes]
+    obstacles = Obstacles(polygons(*(ring[::-1] if reverse else ring for ring in rings)))
+    grid = [complex(x, y) for x in range(-4, 15, 2) for y in range(-4, 11, 2)]
+    places = [each for each in grid if not any(a < each.real < c and b < each.imag < d for a, b, c, d in boxes)]
+    shares = np.linspace(0.0, 1.0, 401)[1:-1]
+    for corner in (complex(x, y) for ring in rings for x, y in ring):
+        targets = [each for each in places if each != corner]
+        lines_to = corner + shares * (np.array(targets)[:, None] - corner)
+        crossed = [
+            (a < lines_to.real) & (lines_to.real < c) & (b < lines_to.imag) & (lines_to.imag < d)
+            for a, b, c, d in boxes
+        ]
+        free = (~np.any(crossed, axis=(0, 2))).tolist()
+        assert obstacles.clear(corner, np.array(targets)).tolist() == free
+        assert [obstacles.clear(target, np.array([corner])).item() for target in targets] == free
+
+
 BOXES = [[[x, y], [x + 2, y], [x + 2, y + 2], [x, y + 2]] for x in (1, 6, 11, 16) for y in (1, 7, 13)]
 
 
