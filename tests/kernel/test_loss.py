@@ -11,7 +11,7 @@ from desim.kernel.core.link_context import LinkContext
 from desim.kernel.models.common_losses import CommonCause
 from desim.kernel.models.correlation import RANGE, CorrelatedNumbers
 from desim.kernel.models.link_draws import booleans_of
-from desim.kernel.models.loss import Bernoulli, ByDistance, Correlated, FourState, GilbertElliott
+from desim.kernel.models.loss import Bernoulli, Bursts, ByDistance, Correlated, FourState, GilbertElliott
 from tests.models import MODELS, made
 
 SEEDS = range(3)
@@ -194,6 +194,16 @@ def test_a_link_that_advances_in_time_forgets_exponentially(steps):
         assert max(abs(errors(*count, SHARE + (1 - SHARE) * memory)) for count in counts) < 5
         assert abs(errors(*counts.sum(axis=0), SHARE + (1 - SHARE) * memory)) < 5
         assert abs(errors(*counts.sum(axis=0), SHARE + (1 - SHARE) * faster)) > 5
+
+
+def test_the_state_of_a_link_to_one_node_fades_as_that_of_links_to_many():
+    """1,200 links, each used alone, and all together: pi + (1 - pi) exp(-(p + r) t), and not pi, the control."""
+    alone, rng, times = Bursts(IN_TIME), np.random.default_rng(3), [0.0, 2.0]
+    one_by_one = [[alone.to_one(0, node, now, rng) for node in range(1, 1201)] for now in times]
+    for first, last in (np.array(one_by_one), history(IN_TIME, times, 3, links=1200)):
+        hits, trials = (first & last).sum(), first.sum()
+        assert abs(errors(hits, trials, SHARE + (1.0 - SHARE) * exp(-0.625 * 2.0))) < 5
+        assert abs(errors(hits, trials, SHARE)) > 5
 
 
 @pytest.mark.whole

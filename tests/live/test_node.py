@@ -684,6 +684,11 @@ def test_what_cannot_run_live_is_refused_with_a_reason(key, changes):
         Node(experiment, 0)
 
 
+def test_a_live_run_has_as_many_pursuers_as_a_datagram_can_name():
+    told = {count: dict(reasons(scenario(team={"count": count}))).get("team.count") for count in (511, 512, 513)}
+    assert told == {511: None, 512: None, 513: "a datagram can name 512 pursuers"}
+
+
 @pytest.mark.slow
 def test_the_examples_that_can_run_live_are_these():
     files = sorted(SCENARIOS.glob("*.toml"))
