@@ -697,3 +697,12 @@ def test_a_closed_episode_is_over():
     assert all(parallel.step(dict.fromkeys(parallel.agents, 1))[2].values())
     with pytest.raises(RuntimeError, match=r"the episode is over: call reset\(\)"):
         parallel.step({})
+
+
+@pytest.mark.parametrize("make", [desim.env, desim.parallel_env])
+def test_without_a_scenario_an_environment_is_that_of_the_paper(make):
+    default, given = make(), make(Scenario())
+    assert default.possible_agents == given.possible_agents
+    for each in (default, given):
+        each.reset(seed=3)
+    assert str(default.state().tolist()) == str(given.state().tolist())

@@ -206,6 +206,10 @@ def test_an_agent_has_its_id_and_team_data():
         assert (me.now, me.team_size, me.action) == (0.25, 3, False)
         assert me.global_state.capture_times(1) == pytest.approx([0.9, 1.9, 3.9])
         assert me.capture_time() == me.global_state.capture_times(1)[me.id]
+        assert [me.global_state.action(j) for j in range(3)] == me.global_state.profile() == [0, 0, 0]
+        me.global_state.set_action(2, 1)
+        assert [me.global_state.action(j) for j in range(3)] == me.global_state.profile() == [0, 0, 1]
+        me.global_state.set_action(2, 0)
         assert me.stream("x").random() != me.shared_stream("x").random()
         done.append((me.id, me.shared_stream("x").random()))
 

@@ -301,3 +301,17 @@ def test_the_vector_of_an_arrival_is_as_long_as_the_path():
     assert offsets[0] == pytest.approx((0.5 + 5j) * 2.0, abs=1e-8)
     assert offsets[1] == 0.5 - (3 + 4j)
     assert abs(offsets[2]) == inf
+
+
+def test_an_arrival_comes_from_the_last_corner_of_the_path_and_not_from_the_first():
+    """Among boxes many paths have several corners; from the target to the source the first corner is another one."""
+    space, rng = Walled([Wall(polygon=tuple(map(tuple, box))) for box in BOXES]), np.random.default_rng(2)
+    places = rng.uniform(0.0, 19.0, 80) + 1j * rng.uniform(0.0, 16.0, 80)
+    target, *sources = places[space.are_free(places)].tolist()
+    several = 0
+    for source, offset in zip(sources, space.arrivals(target, np.array(sources)).tolist(), strict=True):
+        path = space.paths.path(source, target)
+        last_leg = target - path[-2]
+        assert offset == pytest.approx(last_leg / abs(last_leg) * space.distance(source, target), abs=1e-6)
+        several += len(path) > 3
+    assert several > 10
