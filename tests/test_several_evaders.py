@@ -1,7 +1,8 @@
 """Runs with several evaders: captures, what their chasers do next, and one evader as a special case."""
 
 import json
-from math import nan
+from itertools import product
+from math import inf, nan
 
 import numpy as np
 import pytest
@@ -318,3 +319,23 @@ def test_a_start_at_random_chases_every_evader_alike():
 def test_a_team_that_is_active_at_the_start_chases_each_of_the_evaders():
     scenario = Scenario(team=Team(count=60), evader=Evader(count=3, speed=0.1), horizon=0.01)
     assert set(desim.run(scenario, 1).trace.of(Started)[0].active) == {1, 2, 3}
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize(
+    ("guidance", "order"), [*product(["constant_bearing", "pure_pursuit"], ["evader_first", "simultaneous"])]
+)
+def test_pursuers_that_see_everything_go_as_those_that_look_far(guidance, order):
+    """Without a limit of the sight, the velocities of all pursuers are computed at once; with one, one by one."""
+    unlimited = Scenario(
+        horizon=1.0,
+        protocol=chase(1, 2, 1),
+        team=Team(positions=[(0.0, 0.0), (9.0, 0.0), (4.0, 9.0)], speeds=(2.0, 3.0, 2.5), guidance=guidance),
+        evader=(Evader(position=(3.0, 3.0), speed=1.0), Evader(position=(6.0, 4.0), speed=0.8)),
+        motion=Motion(step=0.05, order=order),
+        record=Recording(trajectory=0.05),
+    )
+    runs = [desim.run(unlimited.with_({"sensing.radius": radius})).trace for radius in (inf, 1e6)]
+    places = [np.array([[*event.pursuers, *event.evaders] for event in trace.of(Sampled)]) for trace in runs]
+    assert places[1] == pytest.approx(places[0], abs=1e-9)
+    assert 2 in {event.active for event in runs[0].of(Decided)}
