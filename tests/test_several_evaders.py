@@ -2,7 +2,7 @@
 
 import json
 from itertools import product
-from math import inf, nan
+from math import nan
 
 import numpy as np
 import pytest
@@ -22,6 +22,7 @@ from desim.scenario.overrides import ScenarioError
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Capture, Motion, Recording
 from desim.scenario.toml import load
+from desim.simulation import steering
 from tests.worlds import world_of
 
 
@@ -325,9 +326,9 @@ def test_a_team_that_is_active_at_the_start_chases_each_of_the_evaders():
 @pytest.mark.parametrize(
     ("guidance", "order"), [*product(["constant_bearing", "pure_pursuit"], ["evader_first", "simultaneous"])]
 )
-def test_pursuers_that_see_everything_go_as_those_that_look_far(guidance, order):
-    """Without a limit of the sight, the velocities of all pursuers are computed at once; with one, one by one."""
-    unlimited = Scenario(
+def test_many_pursuers_go_as_each_of_them_alone(guidance, order, monkeypatch):
+    """The velocities of a few pursuers are computed one by one, and those of many at once."""
+    game = Scenario(
         horizon=1.0,
         protocol=chase(1, 2, 1),
         team=Team(positions=[(0.0, 0.0), (9.0, 0.0), (4.0, 9.0)], speeds=(2.0, 3.0, 2.5), guidance=guidance),
@@ -335,7 +336,10 @@ def test_pursuers_that_see_everything_go_as_those_that_look_far(guidance, order)
         motion=Motion(step=0.05, order=order),
         record=Recording(trajectory=0.05),
     )
-    runs = [desim.run(unlimited.with_({"sensing.radius": radius})).trace for radius in (inf, 1e6)]
+    runs = []
+    for size in (0, 100):
+        monkeypatch.setattr(steering, "MAX_SCALAR_SIZE", size)
+        runs.append(desim.run(game).trace)
     places = [np.array([[*event.pursuers, *event.evaders] for event in trace.of(Sampled)]) for trace in runs]
     assert places[1] == pytest.approx(places[0], abs=1e-9)
     assert 2 in {event.active for event in runs[0].of(Decided)}

@@ -570,3 +570,11 @@ def test_what_a_fault_does_to_a_message_that_never_starts_is_forgotten(medium, c
     assert network.message_counts().lost_by[cause] > 0
     assert network.message_counts().in_flight == 0
     assert network.fault_state._intercepted == network.fault_state._copies == {}
+
+
+@pytest.mark.parametrize("start", [{"start": -1.0}, {"start": "x"}, {}])
+def test_the_end_of_a_fault_is_not_compared_with_a_start_that_is_wrong(start):
+    with pytest.raises(KeyedError, match=r"^Crash: start: [^\n]*$"):
+        Crash(node=1, end=0.5, **start)
+    with pytest.raises(KeyedError, match=r"^Crash: end: should be later than start .got 0\.5 and 0\.5.[^\n]*$"):
+        Crash(node=1, start=0.5, end=0.5)
