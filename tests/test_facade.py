@@ -18,7 +18,10 @@ from desim.config.exports import homes_of_exports
 from desim.config.model import Value
 from desim.kernel.models.access import ACCESSES, Ideal
 from desim.kernel.models.interference import INTERFERENCES
+from desim.kernel.network import Network
 from desim.pursuit.motion.dynamics import DYNAMICS, Simple
+from desim.pursuit.sensing.views import GlobalState
+from desim.pursuit.team.agent import Agent
 from protocols.rule import SCHEDULES
 from protocols.temperature import TEMPERATURES
 from scenarios.studies.study import SCENARIOS
@@ -127,17 +130,28 @@ def test_the_example_of_the_package_runs(monkeypatch, capsys):
     assert "active time: " in capsys.readouterr().out
 
 
+def signatures(name, public):
+    """Yield the arguments of a public function, or of the methods of a public class, inherited ones included."""
+    if inspect.isfunction(public):
+        yield f"{name}({arguments(public)})"
+    elif inspect.isclass(public) and not issubclass(public, Value):
+        bases = [base for base in public.__mro__ if base.__module__.startswith(("desim", "protocols"))]
+        members = {
+            key: getattr(member, "__func__", member) for base in bases[::-1] for key, member in vars(base).items()
+        }
+        functions = [key for key, member in members.items() if inspect.isfunction(member) and not key.startswith("_")]
+        yield from (f"{name}.{key}({arguments(members[key])})" for key in functions)
+
+
 def test_the_arguments_of_public_functions_and_their_defaults_are_golden():
     """Scripts of users rely on them; those of models are keys of scenario files."""
     lines = []
-    for name in sorted(desim.__all__):
-        public = getattr(desim, name)
-        if inspect.isfunction(public):
-            lines.append(f"{name}({arguments(public)})")
-        elif inspect.isclass(public) and not issubclass(public, Value):
-            own = {key: getattr(member, "__func__", member) for key, member in vars(public).items()}
-            functions = [key for key, member in own.items() if inspect.isfunction(member) and not key.startswith("_")]
-            lines += [f"{name}.{key}({arguments(own[key])})" for key in functions]
+    for package in LAZY:
+        prefix = "" if package is desim else f"{package.__name__}."
+        for name in sorted(package.__all__):
+            lines += signatures(prefix + name, getattr(package, name))
+    for kind in (Agent, GlobalState, Network):  # a protocol or a process gets them
+        lines += signatures(kind.__name__, kind)
     golden("arguments.txt", "\n".join(lines) + "\n")
 
 
