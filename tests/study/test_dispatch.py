@@ -435,3 +435,26 @@ def test_workers_that_are_gone_end_all_runs():
     with pytest.raises(ConnectionError, match="gone"):
         list(drive([(None, 0), (None, 1)], workers))
     assert workers.stopped
+
+
+class LockedInError(Exception):
+    """Cannot be pickled."""
+
+    def __init__(self):
+        super().__init__("locked")
+        self.lock = threading.Lock()
+
+
+class OfTwoError(Exception):
+    """Is pickled, and cannot be read again: its arguments are not those of its class."""
+
+    def __init__(self, first, second):
+        super().__init__(f"{first} and {second}")
+
+
+def test_an_exception_is_sent_by_a_worker_if_it_survives():
+    plain, caused = ValueError("x"), ValueError("y")
+    caused.__context__ = LockedInError()
+    assert dispatch._picklable(plain) is plain
+    assert dispatch._picklable(caused) is caused
+    assert [dispatch._picklable(error) for error in (LockedInError(), OfTwoError(1, 2))] == [None, None]
