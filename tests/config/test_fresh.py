@@ -32,7 +32,7 @@ from desim import Evader, Scenario, Team, run, summary, sweep
 from desim.analysis.metrics import Metric
 from desim.config import copier
 from desim.config.choice import choices_of
-from desim.config.fresh import Remembered, StateError, fresh_copy
+from desim.config.fresh import Remembered, StateError, _snapshot, fresh_copy
 from desim.config.shared_state import StateWarning, _cached
 from desim.kernel.models.graphs import Ring
 from desim.kernel.models.links import Links
@@ -1333,3 +1333,17 @@ def test_up_to_a_hundred_values_of_a_cache_are_compared(maxsize, count, kept):
         squares(number)
     values = [value for value in _cached(squares, lambda value: value).values() if isinstance(value, list)]
     assert sorted(values) == [[number**2] for number in range(kept)]
+
+
+LARGE = {
+    "list": lambda count: [0.5] * count,
+    "dict": lambda count: dict.fromkeys(range(count), 0.5),
+    "array": np.zeros,
+    "rows": lambda count: np.zeros((count // 3, 3)),
+}
+
+
+@pytest.mark.parametrize("kind", LARGE)
+def test_collections_of_less_than_10_000_items_are_searched_for_changes(kind):
+    assert _snapshot(LARGE[kind](9_999)) is not None
+    assert _snapshot(LARGE[kind](10_002 if kind == "rows" else 10_000)) is None
