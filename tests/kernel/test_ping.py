@@ -178,6 +178,13 @@ def test_several_outputs_and_endless_ones_are_refused(model, tmp_path):
             model(file=str(tmp_path / "ping.txt"))
 
 
+@pytest.mark.parametrize("time", ["time=12300 us", "time=0.0123 s", "time=12", "time=a", "12:00:01 time=12"])
+def test_a_reply_whose_time_cannot_be_read_is_not_a_lost_probe(time):
+    """A file may be cut in its last line, for example."""
+    with pytest.raises(ValueError, match=f"the text has a reply that cannot be read: .*{time}.* should be in ms"):
+        probes_of(LINUX.replace("time=12.3 ms", time, 1))
+
+
 def test_a_decimal_comma_of_a_locale_is_not_a_lost_probe():
     """Round trips of 100 ms or more have no decimals, so that only the others have a comma."""
     assert probes_of(LINUX.replace("12.3 ms", "12,3 ms").replace("0.045 ms", "0,045 ms")) == probes_of(LINUX)

@@ -36,6 +36,8 @@ FROM_0 = re.compile(r"PING .*: \d+ data bytes.*|PING6?\(\d+=.*")
 INTERVAL = 1.0
 """Time between probes, s, if the output has no times."""
 MAX_PROBES = 10**7
+MAX_SHOWN = 100
+"""The greatest number of characters of a line that a refusal shows."""
 WRAP = 2**16
 """The modulus of sequence numbers, which have 16 bits: 0 follows 65535."""
 
@@ -72,7 +74,8 @@ def probes_of(text: str, name: str = "the text") -> list[Probe]:
     between probes is constant: on Linux it follows from the summary, elsewhere it is 1 s.
 
     Raises:
-        ValueError: if the text is the output of several pings, a summary only, or of more than `MAX_PROBES` probes.
+        ValueError: if the text is the output of several pings, a summary only, or of more than `MAX_PROBES` probes, or
+            if the time of a reply is not in ms.
     """
     if "time=" not in text and "time<" not in text and "PING" not in text and "Pinging " not in text:
         return []
@@ -100,6 +103,8 @@ def probes_of(text: str, name: str = "the text") -> list[Probe]:
             replies.setdefault(last, (float(stamp) - seconds if stamp else None, seconds))  # the first, of duplicates
         elif FAILURE.fullmatch(line):
             lost.add(len(replies) + len(lost))
+        elif "time=" in line or "time<" in line:
+            raise ValueError(f"{name} has a reply that cannot be read: {line[:MAX_SHOWN]!r}; its time should be in ms")
         elif no_reply := NO_REPLY.fullmatch(line):
             last = _unwrapped(int(no_reply[1]), last)
             lost.add(last)
