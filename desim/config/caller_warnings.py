@@ -1,7 +1,11 @@
 """Warnings that name the line of the user's program, however many functions of desim lie between."""
 
 from inspect import currentframe
+from typing import TYPE_CHECKING
 from warnings import warn
+
+if TYPE_CHECKING:
+    from pydantic import ValidationInfo
 
 BETWEEN = frozenset({"desim", "protocols", "pydantic", "contextlib", "functools", "gymnasium", "pettingzoo"})
 """The packages whose lines no user has written."""
@@ -17,3 +21,12 @@ def warn_caller(text: str, category: type[Warning] = UserWarning) -> None:
     while frame is not None and str(frame.f_globals.get("__name__")).partition(".")[0] in BETWEEN:
         frame, level = frame.f_back, level + 1
     warn(text, category, stacklevel=level)
+
+
+def warn_reader(text: str, info: "ValidationInfo") -> None:
+    """Warn of how a file that a program gives to a model is read.
+
+    If a scenario file names it, all commands give this warning, with its key (`desim.scenario.checks`).
+    """
+    if "folder" not in (info.context or {}):
+        warn_caller(text)

@@ -53,7 +53,7 @@ from desim.config.field_types import Unsigned as Unsigned
 from desim.config.field_types import in_forms as in_forms
 from desim.config.interrupts import deferred
 from desim.config.parameters import are_equal, in_json
-from desim.config.python_numbers import NUMBERS, as_python, sorted_sets, why_no_text
+from desim.config.python_numbers import NUMBERS, as_python, sets_as_lists, why_no_text
 from desim.config.suggestion import did_you_mean
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -178,7 +178,7 @@ class Value(BaseModel, metaclass=_ValueType):
                 continue
             why = _why_no_list(cls, name, value)
             if any(isinstance(marker, AnyOrder) for marker in cls.model_fields[name].metadata):
-                value = sorted_sets(value)
+                value = sets_as_lists(value)
             is_set_for_set = isinstance(value, SET_TYPES) and get_origin(cls.model_fields[name].annotation) in SET_TYPES
             try:
                 converted[name] = as_python([*value] if is_set_for_set else value)  # `as_python` refuses a set

@@ -71,7 +71,7 @@ def as_python(value: Any) -> Any:
     return _RefusedSet(value) if isinstance(value, Set) else value
 
 
-def sorted_sets(value: Any) -> Any:
+def sets_as_lists(value: Any) -> Any:
     """Return a value in which each set of integers is a sorted list, also in a list of sets.
 
     It is for fields whose order has no effect, such as the groups of a partition, which networkx returns as sets. A set
@@ -83,7 +83,7 @@ def sorted_sets(value: Any) -> Any:
         return sorted(value) if all(isinstance(item, Integral) for item in value) else value
     if isinstance(value, GeneratorType):
         value = list(islice(value, MAX_ITEMS))
-    return [sorted_sets(item) for item in value] if type(value) in ROWS else value
+    return [sets_as_lists(item) for item in value] if type(value) in ROWS else value
 
 
 class _Refused:
@@ -100,7 +100,7 @@ class _Refused:
 
 
 class _RefusedSet(_Refused):
-    """Stands for a set, which fields whose order has no effect accept all the same: see `sorted_sets`."""
+    """Stands for a set, which fields whose order has no effect accept all the same: see `sets_as_lists`."""
 
     def __init__(self, value: Set[Any]):
         super().__init__(f"the set {value!r}, which has no order: give a list")

@@ -10,6 +10,7 @@ from desim.config.traits import inherits
 from desim.kernel.clock_sync import Unsynchronised
 from desim.kernel.models.clock_skew import ClockSkew
 from desim.pursuit.core.state import complex_points
+from desim.pursuit.evaders.recorded import DROPS_HEIGHTS
 from desim.pursuit.motion.flow import RecordedFlow
 from desim.pursuit.motion.guidance import PurePursuit
 from desim.pursuit.sensing.noise import covariance_of
@@ -108,7 +109,7 @@ def _record_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     ]
     for key, record in records:
         if getattr(record, "has_heights", False):
-            yield key, "the heights in the file are dropped: motion is in the plane, and so are all distances"
+            yield key, DROPS_HEIGHTS
         waypoints: Sequence[Any] = getattr(record, "waypoints", ())
         if (why := late_rows("waypoint", [t for t, *_ in waypoints], scenario.horizon, SLOW)) is not None:
             yield f"{key}.waypoints", why

@@ -44,6 +44,40 @@ def test_a_warning_is_at_the_line_of_the_program(name):
     assert {(warning.filename, warning.lineno) for warning in caught} == {(__file__, line)}
 
 
+FILES = {
+    "edges.csv": ("src,dst,delay\n0,1,0.1\n1,2,0.1\n", lambda file: Links(graph={"kind": "edges", "file": file})),
+    "one_way.json": (
+        '{"directed": true, "nodes": [{"id": 0}, {"id": 1}, {"id": 2}],'
+        ' "links": [{"source": 0, "target": 1}, {"source": 1, "target": 2}]}',
+        lambda file: desim.Edges(file=file),
+    ),
+    "reception.csv": ("t,prr\n0,0.9\n1,0.8\n", lambda file: desim.LossTrace(file=file, value="prr")),
+    "signal.csv": ("t,rssi_dbm\n0,-60\n1,99\n", lambda file: desim.SignalTrace(file=file, value="rssi_dbm")),
+    "motion.csv": ("t,x,y,z\n0,0,0,5\n1,1,1,5\n", lambda file: desim.RecordedMotion(file=file)),
+    "starts.csv": ("x,y,z\n0,0,5\n1,1,5\n", lambda file: Team(count=2, positions={"kind": "recorded", "file": file})),
+}
+"""Contents of files that are probably not meant as they are read, and how a program gives them to a model."""
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_how_a_file_is_read_is_told_to_the_program_once(name, tmp_path):
+    """A scenario file that names the file is told of by all commands; what is made of the model has been told."""
+    text, read = FILES[name]
+    (tmp_path / name).write_text(text)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        model = read(str(tmp_path / name))
+        model.model_copy(update={})
+    (warning,) = caught
+    assert (warning.filename, name in str(warning.message)) == (__file__, True)
+
+
+def test_a_file_that_is_read_as_it_is_meant_is_not_told_of(tmp_path):
+    """Or that is read as the program says."""
+    (tmp_path / "prr.csv").write_text("t,prr\n0,0.9\n1,0.8\n")
+    assert desim.LossTrace(file=str(tmp_path / "prr.csv"), value="prr", received=True)  # a warning is an error
+
+
 def test_a_warning_without_a_program_names_no_line_of_desim():
     """All frames of the thread are of desim; the control adds one that is not."""
     code = compile("def give(warn, done):\n    warn('text')\n    done()\n", "inside.py", "exec")

@@ -11,7 +11,7 @@ import pytest
 from matplotlib.collections import QuadMesh
 from matplotlib.figure import Figure
 
-from desim.analysis.drawing.plots import save
+from desim.analysis.drawing.plots import as_it_is, save
 from desim.analysis.measuring import summary
 from desim.analysis.statistics import estimate
 from desim.scenario.players import Team
@@ -68,7 +68,7 @@ def test_one_key_is_a_line_over_its_values():
     assert line.get_ydata().tolist() == [1.0, 2.0, 3.0]
     assert ticks(axes.xaxis) == {"1": 1.0, "2": 2.0, "5": 5.0}
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("horizon (s)", "active time (s)")
-    assert axes.get_title() == "a <b> & $c$, 95 % intervals"
+    assert axes.get_title() == r"a <b> & \$c\$, 95 % intervals"
     assert axes.get_legend() is None
     assert not axes.figure.legends
 
@@ -567,7 +567,7 @@ def test_a_name_with_dollars_is_shown_as_it_is_at_any_size(name):
     figure = means(result(GRID, name=name), "active_time")
     figure.set_size_inches(3.5, 2.5)
     figure.draw_without_rendering()
-    assert figure.axes[0].get_title() == f"{name}, 95 % intervals"
+    assert figure.axes[0].get_title() == as_it_is(f"{name}, 95 % intervals")
 
 
 @pytest.mark.slow

@@ -9,9 +9,10 @@ from collections.abc import Collection, Iterable
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field, Tag, ValidationInfo, model_validator
+from pydantic import Field, ModelWrapValidatorHandler, Tag, ValidationInfo, model_validator
 
 from desim.config.arrays import Floats
+from desim.config.caller_warnings import warn_reader
 from desim.config.choice import FILE_NAME
 from desim.config.model import Flag, Time, Value, in_forms
 from desim.config.traits import is_ours, positions
@@ -123,6 +124,14 @@ class LinkTrace(NamedTable):
         reduced = {"table": select(str(text), columns.used(), name), "src": columns.src, "dst": columns.dst}
         parameters = {key: value for key, value in data.items() if key not in {"file", "read_from"}}
         return parameters | reduced | ({"read_from": read_from} if read_from else {})
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _tells_doubt(cls, data: Any, make: ModelWrapValidatorHandler[Self], info: ValidationInfo) -> Self:
+        trace = make(data)
+        if isinstance(data, dict) and data.get("file") is not None and trace.doubt is not None:
+            warn_reader(f"{trace.name}: {trace.doubt[1]}", info)
+        return trace
 
     @model_validator(mode="after")
     def _is_valid(self) -> Self:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, Self, get_a
 from pydantic import Field, ModelWrapValidatorHandler, ValidationError, ValidationInfo, model_validator
 
 from desim.config.arguments import value_text
-from desim.config.caller_warnings import warn_caller
+from desim.config.caller_warnings import warn_caller, warn_reader
 from desim.config.choice import OneOf
 from desim.config.errors import WORDINGS, KeyedError
 from desim.config.model import Flag, Value
@@ -168,8 +168,11 @@ class Edges(Value):
                 fields, notes = _fields(graph)
             except ValueError as error:
                 raise ValueError(f"{file}: {error}") from error
+            told = unread_attributes(graph, of_links_only=True)
             if directed is None and _is_one_way(graph):  # a user who states `directed` means it
-                notes += (ONE_WAY,)
+                notes, told = (*notes, ONE_WAY), (*told, ONE_WAY)
+            for note in told:
+                warn_reader(f"{file}: {note}", info)
             fields = data | {"file": None} | fields
         else:
             return make(data)

@@ -21,6 +21,7 @@ from pydantic import (
     model_validator,
 )
 
+from desim.config.caller_warnings import warn_reader
 from desim.config.choice import OneOf
 from desim.config.model import MAX_COORDINATE, Coordinate, FirstError, Length, Limit, Time, Value
 from desim.config.python_numbers import as_complex
@@ -31,6 +32,8 @@ from desim.kernel.models.graphs import Node
 from desim.pursuit.evaders.observation import EvaderObservation
 from desim.pursuit.mobility.mobility_file import read_mobility
 
+DROPS_HEIGHTS = "the heights in the file are dropped: motion is in the plane, and so are all distances"
+"""The warning about a file with heights."""
 SPEED_ROUNDING = 1e-9
 """Share by which a speed that is computed from a record may exceed a limit."""
 Point = tuple[Coordinate, Coordinate]
@@ -131,6 +134,8 @@ class RecordedMotion(_Record):
         if has_file:  # set as attributes: equality and hashes do not depend on lines and heights
             motion.__dict__["places"] = tuple(f"{file}, line {waypoint.line}" for waypoint in track.waypoints[cut:])
             motion.__dict__["has_heights"] = track.has_heights
+            if track.has_heights:
+                warn_reader(f"{file}: {DROPS_HEIGHTS}", info)
         motion.check_speed(MAX_COORDINATE)
         return motion
 
@@ -259,14 +264,15 @@ class RecordedPositions(_Record):
             ValueError: if a key is not valid or the file cannot be read.
         """
         record = cls.model_validate(table, context=info.context)
-        mobility = read_mobility(
-            resolve_path(record.file, info), record.dimensions, is_scaled=record.scale != 1.0, needs_times=False
-        )
+        file = resolve_path(record.file, info)
+        mobility = read_mobility(file, record.dimensions, is_scaled=record.scale != 1.0, needs_times=False)
         nodes = mobility.nodes if record.nodes is None else record.nodes
         tracks = [mobility.track(node) for node in nodes]
         first_waypoints = [record.placed([waypoint[:3] for waypoint in track.waypoints])[0][0] for track in tracks]
         names = tuple(node for node in nodes if isinstance(node, str))
         has_heights = any(track.has_heights for track in tracks)
+        if has_heights:
+            warn_reader(f"{file}: {DROPS_HEIGHTS}", info)
         return Starts([(x, y) for _, x, y in first_waypoints], names, record.nodes is None, has_heights)
 
 

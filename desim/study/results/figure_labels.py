@@ -8,7 +8,7 @@ from typing import Any
 
 from desim.analysis.drawing.legends import handles_of
 from desim.analysis.drawing.palette import MARKERS, SERIES
-from desim.analysis.drawing.plots import Axes, Figure, size_of
+from desim.analysis.drawing.plots import Axes, Figure, as_it_is, size_of
 from desim.analysis.metrics import unit_of as unit_of_metric
 from desim.analysis.metrics import words
 from desim.config.escaping import escaped
@@ -96,7 +96,7 @@ def key_with_unit(key: str) -> str:
 
 def literal(name: str) -> str:
     """Return a text escaped for matplotlib, which reads "$" as mathematics and hides labels that begin with "_"."""
-    return f"{' ' if name.startswith('_') else ''}{escaped(name)}".replace("$", r"\$")
+    return f"{' ' if name.startswith('_') else ''}{as_it_is(name)}"
 
 
 def label_axes(axes: Axes, xlabel: str | None, ylabel: str | None) -> None:

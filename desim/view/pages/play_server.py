@@ -65,7 +65,7 @@ class PlayServer(ThreadingHTTPServer):
         self._pages, self._closed_at = 0, float("inf")
         """The number of open pages, or of browsers with open pages, and the time at which the last was closed, s."""
         self._lock = threading.Lock()
-        self._comparisons: dict[str, Comparison] = {}
+        self._comparisons: dict[str, SharedAnswers] = {}
         """By page, the comparison whose next answers the page will ask for."""
         self._incoming: dict[socket.socket, float] = {}
         """By connection, the time at which its request must have arrived."""
@@ -98,7 +98,7 @@ class PlayServer(ThreadingHTTPServer):
         """Keep a comparison, in place of an earlier one of the same page."""
         with self._lock:
             self._comparisons.pop(page, None)
-            self._comparisons[page] = Comparison(answers)
+            self._comparisons[page] = SharedAnswers(answers)
             if len(self._comparisons) > MAX_COMPARISONS:
                 del self._comparisons[next(iter(self._comparisons))]
 
@@ -140,7 +140,7 @@ class PlayServer(ThreadingHTTPServer):
             super().handle_error(request, client_address)  # type: ignore[arg-type]
 
 
-class Comparison:
+class SharedAnswers:
     """The answers of a comparison, of which requests in several threads may ask for the next: each gets another one.
 
     Args:
