@@ -450,6 +450,7 @@ def test_statements_of_ns2_about_a_class_are_ignored(tmp_path):
         ("# id x y\n3 5 27\n2 4.25 27.5\n", [2, 3]),
     ],
 )
+@pytest.mark.filterwarnings("ignore:.*the heights in the file are dropped")
 def test_places_without_times_are_those_of_nodes_that_begin_there(tmp_path, text, nodes):
     (tmp_path / "places.csv").write_text(text)
     made = read_mobility(tmp_path / "places.csv", needs_times=False)

@@ -125,14 +125,6 @@ class LinkTrace(NamedTable):
         parameters = {key: value for key, value in data.items() if key not in {"file", "read_from"}}
         return parameters | reduced | ({"read_from": read_from} if read_from else {})
 
-    @model_validator(mode="wrap")
-    @classmethod
-    def _tells_doubt(cls, data: Any, make: ModelWrapValidatorHandler[Self], info: ValidationInfo) -> Self:
-        trace = make(data)
-        if isinstance(data, dict) and data.get("file") is not None and trace.doubt is not None:
-            warn_reader(f"{trace.name}: {trace.doubt[1]}", info)
-        return trace
-
     @model_validator(mode="after")
     def _is_valid(self) -> Self:
         if self.table is None:
@@ -155,6 +147,14 @@ class LinkTrace(NamedTable):
     def _units(self) -> list[tuple[str, str, str]]:
         """Return key, column and unit for each key about a unit; a column named by another unit is refused."""
         return [("time_unit", self.time, self.time_unit)]
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _tells_doubt(cls, data: Any, make: ModelWrapValidatorHandler[Self], info: ValidationInfo) -> Self:
+        trace = make(data)
+        if isinstance(data, dict) and data.get("file") is not None and trace.doubt is not None:
+            warn_reader(f"{trace.name}: {trace.doubt[1]}", info)
+        return trace
 
     @property
     def doubt(self) -> tuple[str, str] | None:
