@@ -136,10 +136,11 @@ def header_of(cells: Iterable[str]) -> Header:
 def coordinate_columns(labels: Sequence[object]) -> list[int] | None:
     """Return the indices of the columns t, x and y of a table, in this order; t may be absent.
 
-    Return None unless each name says one of t, x and y, none of them twice, and x and y are among them.
+    Return None if the names do not say which columns are x and y, or if several may be the same coordinate.
 
     Raises:
-        ValueError: if the coordinates are in degrees, or a column is in another unit than m or s.
+        ValueError: if the coordinates are in degrees, a column is in another unit than m or s, or a column beside x and
+            y is none of the three: in a table of three columns, it would be taken for the time.
     """
     texts = [" ".join(label) if isinstance(label, tuple) and all(map(_is_text, label)) else label for label in labels]
     if not all(map(_is_text, texts)):
@@ -147,17 +148,26 @@ def coordinate_columns(labels: Sequence[object]) -> list[int] | None:
     words = frozenset(chain.from_iterable(_words(str(text)) for text in texts))
     if LATITUDES & words and LONGITUDES & words:
         raise ValueError("positions are in degrees: project them to m")
+    matches = [LABEL.fullmatch(str(text)) for text in texts]
+    names = [match["name"].strip() if match else "" for match in matches]
     index: dict[str, int] = {}
-    for k, text in enumerate(texts):
-        match = LABEL.fullmatch(str(text))
-        role = None if match is None else _role(match["name"])
-        if match is None or role is None or role in index:
+    others: list[object] = []
+    for k in sorted(range(len(names)), key=lambda k: names[k].lower() not in UNITS):  # x itself before vx
+        match, role = matches[k], _role(names[k])
+        if match is None or role is None or (role in index and names[index[role]].lower() == role):
+            others.append(labels[k])
+            continue
+        if role in index:
             return None
         unit, expected_unit = match["bracketed"] or match["unit"], UNITS[role]
         if unit and not re.fullmatch(SAME_UNIT[expected_unit], unit, re.IGNORECASE):
             raise ValueError(f"column {labels[k]!r} is in {unit}, and should be in {expected_unit}")
         index[role] = k
-    return [index[role] for role in "txy" if role in index] if {"x", "y"} <= index.keys() else None
+    if not {"x", "y"} <= index.keys():
+        return None
+    if others:
+        raise ValueError(f"column {others[0]!r} is none of t, x and y: leave it out")
+    return [index[role] for role in "txy" if role in index]
 
 
 def are_out_of_order(labels: Sequence[object]) -> bool:

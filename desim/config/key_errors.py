@@ -24,7 +24,7 @@ from desim.config.key_suggestions import other_key, suggestion
 from desim.config.model import Value
 from desim.config.model_parts import markers_of, models_in
 from desim.config.number_texts import counted, number_instead_of
-from desim.config.python_numbers import as_python
+from desim.config.python_numbers import Refused, as_python
 from desim.config.tables import holds, value_at
 
 
@@ -166,7 +166,8 @@ class Wording:
         is_text = error["type"] in NUMBERS and isinstance(error["input"], str)
         if is_text and (INFINITE.fullmatch(error["input"]) or number_instead_of(error["input"])):
             return ""
-        return f" (got {abridged(self.written(error['input']))})"
+        value = error["input"]
+        return f" (got {value if isinstance(value, Refused) else abridged(self.written(value))})"
 
 
 NUMBERS = {"float_type", "int_type"}

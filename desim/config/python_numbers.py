@@ -20,7 +20,7 @@ from operator import index, length_hint
 from types import GeneratorType
 from typing import Any
 
-from desim.config.arguments import value_text
+from desim.config.arguments import abridged, value_text
 from desim.config.column_names import COLUMNS, coordinate_columns
 
 ATOMS = frozenset({int, float, bool, str, type(None)})
@@ -63,7 +63,7 @@ def as_python(value: Any) -> Any:
     if isinstance(value, Complex | Decimal):
         return _number(value)
     if hasattr(kind, "__float__") and (hasattr(value, "units") or hasattr(value, "unit")):
-        return _Refused(f"{value!r}, with a unit: give a number in the unit of the key")
+        return Refused(f"{abridged(repr(value))}, with a unit: give a number in the unit of the key")
     if hasattr(kind, "tolist") or hasattr(kind, "__array__"):
         return _of_array(value)
     if isinstance(value, LISTS):
@@ -86,10 +86,10 @@ def sets_as_lists(value: Any) -> Any:
     return [sets_as_lists(item) for item in value] if type(value) in ROWS else value
 
 
-class _Refused:
+class Refused:
     """Stands for a value that every field should refuse, although it could be converted without its unit or its order.
 
-    The text of this object is shown in the error message as the value.
+    The whole text of this object is shown in the error message as the value.
     """
 
     def __init__(self, text: str):
@@ -99,11 +99,11 @@ class _Refused:
         return self._text
 
 
-class _RefusedSet(_Refused):
+class _RefusedSet(Refused):
     """Stands for a set, which fields whose order has no effect accept all the same: see `sets_as_lists`."""
 
     def __init__(self, value: Set[Any]):
-        super().__init__(f"the set {value!r}, which has no order: give a list")
+        super().__init__(f"the set {abridged(repr(value))}, which has no order: give a list")
         self.value = value
 
 
@@ -165,15 +165,15 @@ def _is_plain(values: list[Any] | tuple[Any, ...]) -> bool:
 def _items(values: Any) -> Any:
     """Return the converted items of an ordered collection as a list; those of a tuple as a tuple."""
     if isinstance(values, Sized) and _length(values) > MAX_ITEMS:
-        return _Refused(f"a list of more than {MAX_ITEMS:,} items")
+        return Refused(f"a list of more than {MAX_ITEMS:,} items")
     if isinstance(values, Iterator):
         if _is_endless(values) or len(values := list(islice(values, MAX_ITEMS + 1))) > MAX_ITEMS:
-            return _Refused("an iterator without an end: give a list")
+            return Refused("an iterator without an end: give a list")
     elif fields := getattr(values, "_fields", ()):
         try:
             values = tuple(values[k] for k in coordinate_columns(fields) or range(len(fields)))
         except ValueError as error:
-            return _Refused(f"a row: {error}")
+            return Refused(f"a row: {error}")
     items = [as_python(item) for item in values]
     return tuple(items) if isinstance(values, tuple) else items
 
@@ -217,7 +217,7 @@ def _of_array(value: Any) -> Any:
     try:
         value = _in_order(value)
     except ValueError as error:
-        return _Refused(f"a table: {error}")
+        return Refused(f"a table: {error}")
     try:
         converted = value.tolist() if hasattr(type(value), "tolist") else _asarray(value).tolist()
     except (AttributeError, TypeError, ValueError, NotImplementedError):

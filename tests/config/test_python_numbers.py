@@ -617,6 +617,36 @@ def test_tables_of_other_packages_in_another_unit_are_refused(table, why):
         Team(positions=table)
 
 
+@pytest.mark.parametrize("other", ["node", "id", "frame", "speed", "z", "vx", "heading [rad]", "", "x2"])
+@pytest.mark.parametrize("place", [0, 1, 2])
+@pytest.mark.parametrize("kind", ["pandas", "record", "named tuple", "labels", "structs", "arrow"])
+def test_a_column_beside_x_and_y_that_is_no_time_is_refused(other, place, kind):
+    """By their places, three columns would be t, x and y."""
+    names = ["x", "y"]
+    names.insert(place, other)
+    columns = {name: [float(k)] for k, name in enumerate(names)}
+    row = [float(k) for k in range(3)]
+    table = {
+        "pandas": lambda: pd.DataFrame(columns),
+        "record": lambda: np.array([tuple(row)], dtype=[(name or "f", float) for name in names]),
+        "named tuple": lambda: [namedtuple("Row", [name.split(" ")[0] or "f" for name in names])(*row)],
+        "labels": lambda: Labelled([row], names),
+        "structs": lambda: OfStructs(**columns),
+        "arrow": lambda: OfArrow(**columns),
+    }[kind]()
+    for make in (lambda: RecordedMotion(waypoints=table), lambda: Team(positions=table)):
+        with pytest.raises(KeyedError, match="is none of t, x and y: leave it out"):
+            make()
+
+
+def test_corners_in_one_row_stay_in_their_order():
+    class Field(Value):
+        edges: tuple[tuple[float, float, float, float], ...]
+
+    names = ["x1", "y1", "x2", "y2"]
+    assert Field(edges=pd.DataFrame([[1.0, 2.0, 3.0, 4.0]], columns=names)).edges == ((1.0, 2.0, 3.0, 4.0),)
+
+
 @pytest.mark.parametrize("attribute", ["unit", "units"])
 def test_a_table_whose_attributes_name_a_unit_is_refused(attribute):
     table = pd.DataFrame({"x": [1.0], "y": [3.0]})
