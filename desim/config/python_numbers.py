@@ -11,6 +11,7 @@ text with half of a surrogate pair raises UnicodeEncodeError, because no file ca
 on a command line is such a text.
 """
 
+import re
 from collections.abc import ItemsView, Iterator, KeysView, Sequence, Set, Sized, ValuesView
 from decimal import Decimal
 from itertools import chain, count, cycle, islice, repeat
@@ -321,6 +322,32 @@ def _orders_of_matrix(rows: list[Any], columns: list[Any]) -> tuple[list[int], l
         return None
     order = _by_player(rows) or list(range(len(rows)))
     return order, [index[rows[k]] for k in order]
+
+
+def names_in_matrix(value: Any) -> tuple[str, ...]:
+    """Return the names of the nodes in a square table, in the order of its rows; empty if they have none.
+
+    In a table without labels of rows, as those of polars, the columns have the names. Integers are no names.
+
+    Raises:
+        ValueError: if the rows have other names than the columns.
+    """
+    if hasattr(value, "isel"):
+        rows, columns = (_labels(value, k) for k in (0, -1)) if len(value.dims) == 2 else ([], [])
+    else:
+        rows, columns = list(value.index) if hasattr(value, "iloc") else [], _columns(value)
+    are_numbered = not rows or rows == list(range(len(rows)))
+    if not columns or not all(map(_is_name, columns if are_numbered else [*rows, *columns])):
+        return ()
+    if not are_numbered and {*rows} != {*columns}:
+        shown = abridged(", ".join(rows)), abridged(", ".join(columns))
+        raise ValueError("the rows and the columns should have the same names (got {} and {})".format(*shown))
+    return tuple(columns if are_numbered else rows)
+
+
+def _is_name(label: Any) -> bool:
+    """Return whether a label is the name of a node, and neither a number nor made by polars or numpy."""
+    return isinstance(label, str) and not re.fullmatch(r"\d*|column_\d+|f\d+", label)
 
 
 def _by_player(labels: list[Any]) -> list[int] | None:

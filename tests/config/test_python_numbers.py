@@ -11,6 +11,7 @@ from math import inf, isnan
 from types import SimpleNamespace, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
+import networkx as nx
 import numpy as np
 import pandas as pd
 import pytest
@@ -417,6 +418,43 @@ def test_a_matrix_that_is_labelled_with_numbers_has_the_links_of_the_pursuers_of
         labelled = Labelled(matrix, columns)
         labelled.coords["row"] = pd.Series(rows)
         assert LatencyMatrix(values=labelled).values == expected
+
+
+@pytest.mark.parametrize("kind", ["pandas", "labels", "rows without names", "arrow", "record"])
+def test_the_names_in_a_matrix_are_those_of_the_nodes(kind):
+    """The graph numbers the nodes by their names, in another order than the matrix."""
+    names, rows = ["c", "a", "b"], np.arange(9.0).reshape(3, 3)
+    square = pd.DataFrame(rows, index=names, columns=names)
+    table = {
+        "pandas": square[["a", "b", "c"]],
+        "labels": Labelled(rows, names),
+        "rows without names": square.reset_index(drop=True),
+        "arrow": OfArrow(**square),
+        "record": square.to_records(index=False),
+    }[kind]
+    if kind == "labels":
+        table.coords["row"] = pd.Series(names)
+    matrix = LatencyMatrix(values=table)
+    assert matrix == LatencyMatrix(values=table, nodes=names) == LatencyMatrix(values=rows, nodes=names)
+    graph = nx.Graph([("a", "b"), ("b", "c")])
+    latency = Scenario(team={"count": 3}, network={"graph": graph, "latency": matrix}).network.latency
+    assert latency.base_latencies.tolist() == [[0.0, 5.0, 3.0], [7.0, 0.0, 6.0], [1.0, 2.0, 0.0]]
+    with pytest.raises(KeyedError, match=r"nodes should be left out: the values have the names c, a, b$"):
+        LatencyMatrix(values=table, nodes=["a", "b", "c"])
+    with pytest.raises(KeyedError, match="nodes: should be a list"):
+        LatencyMatrix(values=table, nodes=3)
+
+
+def test_a_matrix_whose_rows_have_other_names_than_its_columns_is_refused():
+    table = pd.DataFrame(np.ones((2, 2)), index=["a", "b"], columns=["a", "c"])
+    with pytest.raises(KeyedError, match=r"the rows and the columns should have the same names \(got a, b and a, c\)"):
+        LatencyMatrix(values=table)
+
+
+@pytest.mark.parametrize("labels", [["column_0", "column_1"], ["f0", "f1"], ["1", "0"], [3, 4]])
+def test_labels_that_packages_make_are_no_names(labels):
+    table = pd.DataFrame([[0.0, 1.0], [2.0, 0.0]], columns=labels)
+    assert LatencyMatrix(values=table).nodes is None
 
 
 class Labelled:

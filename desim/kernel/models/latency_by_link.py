@@ -10,13 +10,14 @@ from math import fsum, inf
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, Field, ValidationInfo, model_validator
+from pydantic import BaseModel, Field, ModelWrapValidatorHandler, ValidationInfo, model_validator
 
 from desim.config.answers import name_and_place, wrong_answer
 from desim.config.arrays import Floats, array_of
 from desim.config.choice import OneOf
 from desim.config.model import MAX_TIME, FirstError, Flag, Limit, Value
 from desim.config.number_texts import counted
+from desim.config.python_numbers import as_python, names_in_matrix
 from desim.config.trust import resolve_path
 from desim.kernel.core.body_content import is_missing
 from desim.kernel.core.link_context import LinkContext
@@ -125,7 +126,8 @@ class LatencyMatrix(NamedTable):
 
     kind: Literal["matrix"] = "matrix"
     values: Annotated[tuple[Annotated[tuple[Limit, ...], FirstError()], ...], FirstError()] = ()
-    """(N, N) latencies, a row per sender; inf or nan where a link does not exist. In Python, it may be an array."""
+    """(N, N) latencies, a row per sender; inf or nan where a link does not exist. In Python, it may be an array, or
+    a table; the names of its rows and columns become `nodes`."""
     file: str | None = None
     """Instead of values: path of a text file with a line of N numbers per sender, separated by commas, semicolons, tabs
     or spaces, relative to the scenario file. Names in the first line and in the first column become `nodes`. The file
@@ -140,6 +142,17 @@ class LatencyMatrix(NamedTable):
     """Whether the values are round-trip times, which are divided by 2."""
     jitter: Annotated[Latency, JITTERS] = Constant()
     """Additional latency, drawn for each message."""
+
+    @model_validator(mode="wrap")  # outside of the conversion to Python's numbers, which drops names
+    @classmethod
+    def _with_names(cls, data: Any, make: ModelWrapValidatorHandler[Self]) -> Self:
+        """Set `nodes` to the names in a table."""
+        if isinstance(data, dict) and (names := names_in_matrix(data.get("values"))):
+            nodes = as_python(data.get("nodes"))
+            if isinstance(nodes, list | tuple) and [*nodes] != [*names]:
+                raise ValueError(f"nodes should be left out: the values have the names {', '.join(names)}")
+            data = data | {"nodes": names if nodes is None else nodes}
+        return make(data)
 
     @model_validator(mode="before")
     @classmethod
