@@ -11,8 +11,7 @@ import pytest
 
 from desim import Scenario, run
 from desim.config.choice import choices_of
-from desim.config.field_docs import fields_of
-from desim.config.key_index import unit_in
+from desim.config.field_docs import fields_of, unit_in
 from desim.config.model import Value
 from desim.config.model_parts import models_in
 from desim.pursuit.core.events import Captured

@@ -170,6 +170,11 @@ def coordinate_columns(labels: Sequence[object]) -> list[int] | None:
     return [index[role] for role in "txy" if role in index]
 
 
+def unit_of(label: str) -> str:
+    """Return the unit in the label of a column or a series; an empty text if it has none."""
+    return header_of([label]).units[0]
+
+
 def are_out_of_order(labels: Sequence[object]) -> bool:
     """Return whether the columns of a table have numbers as labels, and other places than the numbers say."""
     return all(isinstance(label, int) for label in labels) and labels != sorted(labels)  # type: ignore[type-var]

@@ -4,6 +4,7 @@ With pydantic's `use_attribute_docstrings`, parsing when each class is created w
 """
 
 import ast
+import re
 import sys
 from collections.abc import Iterator, Mapping
 from functools import cache
@@ -18,6 +19,15 @@ if sys.version_info >= (3, 14):
     from annotationlib import Format, get_annotations
 else:
     from inspect import get_annotations
+
+UNIT = re.compile(r", (1/s|m/s|rad/s|rad/sqrt\(s\)|bit/s|Hz|kHz|dB|dBm|rad|s|m)(?=[;:,.]|$)")
+"""Finds the unit in a description, such as "Mean one-way latency, s."."""
+
+
+def unit_in(field: FieldInfo) -> str | None:
+    """Return the unit in the description of a field; None if it has none."""
+    match = UNIT.search(field.description or "")
+    return match[1] if match else None
 
 
 def fields_of(model: type[BaseModel]) -> dict[str, FieldInfo]:

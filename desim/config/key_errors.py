@@ -18,8 +18,7 @@ from desim.config.arguments import abridged, with_article, without_addresses
 from desim.config.choice import FILE_NAME, choices_of
 from desim.config.error_texts import OF_EXCEPTIONS, text_of
 from desim.config.errors import KeyedError, KeyPath, Problem
-from desim.config.field_docs import fields_of
-from desim.config.key_index import unit_in
+from desim.config.field_docs import fields_of, unit_in
 from desim.config.key_suggestions import other_key, suggestion
 from desim.config.model import Value
 from desim.config.model_parts import markers_of, models_in

@@ -3,7 +3,6 @@
 The kind of a table is the value of its key `kind`, which selects one of several models.
 """
 
-import re
 from collections.abc import Iterator
 from functools import cache
 from typing import NamedTuple, get_origin
@@ -12,7 +11,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from desim.config.choice import choices_of
-from desim.config.field_docs import fields_of
+from desim.config.field_docs import fields_of, unit_in
 from desim.config.model_parts import models_in
 from desim.config.suggestion import close_to
 
@@ -77,16 +76,6 @@ def outermost(name: str | None, whole: type[BaseModel]) -> list[Key]:
     """Return the outermost keys of the files of a model whose last part is `name`."""
     matches = [key for key in all_keys(whole) if key.place[-1] == name]
     return [key for key in matches if len(key.place) == len(matches[0].place)]
-
-
-UNIT = re.compile(r", (1/s|m/s|rad/s|rad/sqrt\(s\)|bit/s|Hz|kHz|dB|dBm|rad|s|m)(?=[;:,.]|$)")
-"""Finds the unit in a description, such as "Mean one-way latency, s."."""
-
-
-def unit_in(field: FieldInfo) -> str | None:
-    """Return the unit in the description of a field; None if it has none."""
-    match = UNIT.search(field.description or "")
-    return match[1] if match else None
 
 
 @cache

@@ -4,6 +4,7 @@ Models import the types of their fields from here, too; `desim.config.field_type
 """
 
 import json
+import re
 from collections.abc import Iterator, Mapping, Sequence, Set
 from functools import cache, cached_property
 from pathlib import PurePath
@@ -23,8 +24,9 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError
 
 from desim.config.arguments import missing_attribute, with_article
+from desim.config.column_names import OTHER_UNITS, unit_of
 from desim.config.errors import WORDINGS, KeyedError, Problem, cause_in
-from desim.config.field_docs import annotated, fields_of
+from desim.config.field_docs import annotated, fields_of, unit_in
 from desim.config.field_types import MAX_COORDINATE as MAX_COORDINATE
 from desim.config.field_types import MAX_TIME as MAX_TIME
 from desim.config.field_types import MIN_PERIOD as MIN_PERIOD
@@ -176,7 +178,7 @@ class Value(BaseModel, metaclass=_ValueType):
             value = fields[name]
             if type(value) in NUMBERS:
                 continue
-            why = _why_no_list(cls, name, value)
+            why = _why_no_list(cls, name, value) or _why_other_unit(cls, name, value)
             if any(isinstance(marker, AnyOrder) for marker in cls.model_fields[name].metadata):
                 value = sets_as_lists(value)
             is_set_for_set = isinstance(value, SET_TYPES) and get_origin(cls.model_fields[name].annotation) in SET_TYPES
@@ -380,6 +382,16 @@ def _why_no_list(model: type[Value], name: str, value: Any) -> str:
     """Return the message about one model in place of a list of models, else ""; its fields would become the list."""
     is_lone = isinstance(value, BaseModel) and get_origin(model.model_fields[name].annotation) is tuple
     return f"should be a list: [{type(value).__name__}(...)]" if is_lone else ""
+
+
+def _why_other_unit(model: type[Value], name: str, value: Any) -> str:
+    """Return the message about a series of pandas whose name has another unit than its field, else ""."""
+    label = getattr(value, "name", None)
+    if not isinstance(label, str) or not hasattr(value, "dtype"):
+        return ""
+    unit, unit_of_field = unit_of(label), unit_in(fields_of(model)[name])
+    is_other = unit_of_field in OTHER_UNITS and re.fullmatch(OTHER_UNITS[unit_of_field], unit, re.IGNORECASE)
+    return f"should be in {unit_of_field}: the name {label!r} says {unit}" if is_other else ""
 
 
 def _inherited_default(model: type[BaseModel], name: str) -> Any:

@@ -14,6 +14,7 @@ on a command line is such a text.
 import re
 from collections.abc import ItemsView, Iterator, KeysView, Sequence, Set, Sized, ValuesView
 from decimal import Decimal
+from io import IOBase
 from itertools import chain, count, cycle, islice, repeat
 from math import isinf, nan
 from numbers import Complex, Integral, Real
@@ -67,6 +68,8 @@ def as_python(value: Any) -> Any:
         return Refused(f"{abridged(repr(value))}, with a unit: give a number in the unit of the key")
     if hasattr(kind, "tolist") or hasattr(kind, "__array__"):
         return _of_array(value)
+    if isinstance(value, IOBase):  # its lines would be a list, and would be used up
+        return Refused("an open file: give its path")
     if isinstance(value, LISTS):
         return value if isinstance(value, TEXTS) else _items(value)
     return _RefusedSet(value) if isinstance(value, Set) else value

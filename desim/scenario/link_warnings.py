@@ -6,6 +6,7 @@ from math import inf
 from typing import Any
 
 from desim.config.model import RESOLUTION
+from desim.config.number_files import is_fill
 from desim.config.traits import inherits
 from desim.kernel.clock_sync import Unsynchronised
 from desim.kernel.core.message_size import size_of
@@ -18,6 +19,8 @@ from desim.kernel.models.clock_skew import is_skewed
 from desim.kernel.models.faults import Window
 from desim.kernel.models.graphs import Complete, Edges, links_with_attributes
 from desim.kernel.models.interference import Collision
+from desim.kernel.models.latency import Empirical
+from desim.kernel.models.latency_by_link import LatencyMatrix
 from desim.kernel.models.links import Links
 from desim.kernel.models.medium import LoRa, Radio, airtime_of, contends
 from desim.kernel.models.presets import PRESETS
@@ -192,8 +195,14 @@ def late_rows(noun: str, times: Sequence[float], horizon: float, late: float = 1
     return f"{which}, and the horizon is {horizon:g} s; are the times in another unit?"
 
 
+def _largest(model: Empirical | LatencyMatrix) -> float:
+    """Return the largest finite value of a list or a matrix of latencies."""
+    rows = model.values if isinstance(model, LatencyMatrix) else (model.values,)
+    return max((value for row in rows for value in row if value < inf), default=0.0)
+
+
 def _trace_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
-    """Yield the warnings about traces of links: those that end before the run, doubtful ones, and numbers of nodes."""
+    """Yield the warnings about measured links: traces that end before the run, doubtful values, numbers of nodes."""
     owners = [("network", dict(scenario.network)), *(("network.graph", edge) for edge in edge_attributes(scenario))]
     owners += [(f"network.link.{k}", dict(link)) for k, link in enumerate(scenario.network.link)]
     notes: dict[tuple[str, str], None] = {}  # an ordered set: both directions of an edge give one note
@@ -201,6 +210,9 @@ def _trace_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     for key, owner in owners:
         for name in ("latency", "loss", "duplicate"):
             model = owner.get(name)
+            if isinstance(model, Empirical | LatencyMatrix) and is_fill(largest := _largest(model)):
+                place = key if key == "network.graph" else f"{key}.{name}.values"
+                notes[place, f"{largest:g} may stand for a message without an answer: leave it out"] = None
             if not isinstance(model, LinkTrace):
                 continue
             if (named := model.named_nodes) is not None:

@@ -51,8 +51,8 @@ class Team(Value):
         ]
         | None
     ) = None
-    """Initial positions, one [x, y] per pursuer, m, or a table of the kind recorded: those of a mobility file; if
-    absent, uniform random draws from `box` per seed."""
+    """Initial positions, one [x, y] per pursuer, m; a table from nodes to positions, such as a layout of networkx; or a
+    table of the kind recorded: those of a mobility file. If absent, uniform random draws from `box` per seed."""
     box: Box = (0.0, 20.0)
     """Lower and upper bound of both initial coordinates, m."""
     speeds: Annotated[

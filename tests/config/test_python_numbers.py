@@ -2,6 +2,7 @@
 
 import array
 import enum
+import re
 from collections import UserList, deque, namedtuple
 from contextlib import suppress
 from decimal import Decimal
@@ -455,6 +456,35 @@ def test_a_matrix_whose_rows_have_other_names_than_its_columns_is_refused():
 def test_labels_that_packages_make_are_no_names(labels):
     table = pd.DataFrame([[0.0, 1.0], [2.0, 0.0]], columns=labels)
     assert LatencyMatrix(values=table).nodes is None
+
+
+@pytest.mark.parametrize("name", ["rtt_ms", "rtt [us]", "delay (ms)", "RTT in ms", "delay / ns", "wait minutes"])
+def test_a_series_whose_name_has_another_unit_than_its_key_is_refused(name):
+    unit = name.strip("])").split(" ")[-1].split("_")[-1].strip("[(")
+    with pytest.raises(KeyedError, match=re.escape(f"values: should be in s: the name {name!r} says {unit}")):
+        Empirical(values=pd.Series([0.1, 0.2], name=name))
+
+
+@pytest.mark.parametrize("name", ["delay", "delay_s", "rtt [s]", "rtt_min", "items", "x_m", None, 3, ("a", "ms")])
+def test_a_series_of_another_name_is_read(name):
+    assert Empirical(values=pd.Series([0.1, 0.2], name=name)).values == (0.1, 0.2)
+
+
+def test_a_key_of_a_user_without_a_unit_takes_a_series_of_any_unit():
+    class Counts(Value):
+        delays: tuple[float, ...]
+        """Delays."""
+
+    assert Counts(delays=pd.Series([1.0], name="delay_ms")).delays == (1.0,)
+
+
+def test_an_open_file_is_not_read_as_a_list(tmp_path):
+    (tmp_path / "latencies.txt").write_text("0.1\n0.2\n")
+    with (tmp_path / "latencies.txt").open() as file:
+        for name in ("file", "values"):
+            with pytest.raises(KeyedError, match=rf"{name}.*\(got an open file: give its path"):
+                Empirical(**{name: file})
+        assert len(file.readlines()) == 2
 
 
 class Labelled:

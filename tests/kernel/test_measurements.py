@@ -27,6 +27,8 @@ from desim.kernel.core.clock import Clock
 from desim.kernel.measured.csv_tables import _csv_of
 from desim.kernel.measured.measurements import LAST_CLOCK, PER_SECOND, start_of, time_of
 from desim.kernel.measured.playback import Playback
+from desim.kernel.models.latency import Empirical
+from desim.kernel.models.latency_by_link import LatencyMatrix
 from desim.kernel.models.links import Links
 from desim.kernel.network import Network
 from desim.scenario.checks import warnings
@@ -283,6 +285,11 @@ def test_a_latency_that_stands_for_no_answer_is_refused_or_told():
     capped = LatencyTrace(table="t,value\n0,1\n1,9999\n", unit="ms")
     told = dict(warnings(Scenario(network=Links(latency=capped))))
     assert told["network.latency.value"] == "9999 ms may stand for a message without an answer: leave its cells empty"
+    answerless = {"network.latency.values": "9999 may stand for a message without an answer: leave it out"}
+    for latency in (Empirical(values=[0.1, 9999.0]), LatencyMatrix(values=[[0, 9999], [20, 0]], unit="ms")):
+        assert answerless.items() <= dict(warnings(Scenario(team={"count": 2}, network=Links(latency=latency)))).items()
+    plain = LatencyMatrix(values=[[0, 10], [20, 0]], unit="ms")
+    assert not dict(warnings(Scenario(team={"count": 2}, network=Links(latency=plain))))
     for cell in ("", "--", "*", "#N/A"):
         assert LatencyTrace(table=f"t,value\n0,1\n1,{cell}\n").measurements.is_missing.tolist() == [False, True]
 

@@ -46,6 +46,42 @@ def test_a_team_with_the_names_of_a_graph_has_its_order(tmp_path):
         assert other.numbered(("b", "a")) is other
 
 
+PLACES = {"b": (3.0, 4.0), "a": (1.0, 2.0), "c": (5.0, 6.0)}
+
+
+@pytest.mark.parametrize("order", ["abc", "cba", "bca"])
+def test_positions_may_be_a_table_of_nodes_as_a_layout_of_networkx_is(order):
+    graph = nx.Graph([("c", "a"), ("c", "b")])  # numbers them c, a, b
+    team = Team(positions={name: np.array(PLACES[name]) for name in order})
+    assert (team.count, team.names, team.positions) == (3, tuple(order), tuple(PLACES[name] for name in order))
+    scenario = Scenario(team=team, network={"graph": graph})
+    assert scenario.team.positions == tuple(PLACES[name] for name in scenario.network.graph.names)
+    assert Scenario(**json.loads(scenario.model_dump_json())).team.positions == scenario.team.positions
+    assert Scenario().with_({"team.positions": {name: PLACES[name] for name in order}}).team == team
+
+
+@pytest.mark.parametrize("nodes", [(0, 1, 2), (2, 0, 1), (3, 1, 2), (30, 10, 20), np.array([3, 1, 2])])
+def test_positions_of_numbered_nodes_are_in_ascending_order(nodes):
+    places = dict(zip(nodes, PLACES.values(), strict=True))
+    assert Team(positions=places).positions == tuple(places[node] for node in sorted(nodes))
+
+
+@pytest.mark.parametrize(
+    ("positions", "why"),
+    [
+        ({"a": (0, 1), 1: (2, 3)}, r"the nodes of the positions should be names, or integers \(got \['a', 1\]\)"),
+        ({0.5: (0, 1)}, "should be names, or integers"),
+        ({"a": (0, 1), "b": (0, 1, 2)}, r"positions\.1: should have at most 2 items, has 3"),
+        ({"fil": "starts.csv"}, r"positions\.fil: unknown key, did you mean"),
+        ({}, r"positions\.file: is missing"),
+        ({"file": (0, 1)}, r"positions\.file: should be a string"),
+    ],
+)
+def test_a_table_of_positions_that_is_neither_of_nodes_nor_of_a_file_is_refused(positions, why):
+    with pytest.raises(KeyedError, match=why):
+        Team(positions=positions)
+
+
 def test_the_default_is_the_scenario_of_the_paper():
     """Lee & Bakolas, section "Simulation": 20 pursuers in 20 m x 20 m, one twice as fast, ideal network, t_f = 30 s."""
     scenario = Scenario()

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from functools import cached_property
 from itertools import pairwise
 from math import ceil
+from numbers import Integral
 from typing import Annotated, Any, Literal, NamedTuple, Self
 
 import numpy as np
@@ -21,6 +22,7 @@ from pydantic import (
     model_validator,
 )
 
+from desim.config.arguments import abridged
 from desim.config.caller_warnings import warn_reader
 from desim.config.choice import OneOf
 from desim.config.model import MAX_COORDINATE, Coordinate, FirstError, Length, Limit, Time, Value
@@ -258,11 +260,17 @@ class RecordedPositions(_Record):
 
     @classmethod
     def read(cls, table: dict[str, Any], info: ValidationInfo) -> "Starts":
-        """Return the starts that a table with these keys describes.
+        """Return the starts that a table with these keys describes, or one with a position for each node.
 
         Raises:
             ValueError: if a key is not valid or the file cannot be read.
         """
+        if (
+            table
+            and not cls.model_fields.keys() & table.keys()
+            and all(isinstance(place, list | tuple) for place in table.values())
+        ):
+            return _starts_of_nodes(table)
         record = cls.model_validate(table, context=info.context)
         file = resolve_path(record.file, info)
         mobility = read_mobility(file, record.dimensions, is_scaled=record.scale != 1.0, needs_times=False)
@@ -276,6 +284,21 @@ class RecordedPositions(_Record):
         return Starts([(x, y) for _, x, y in first_waypoints], names, record.nodes is None, has_heights)
 
 
+def _starts_of_nodes(table: dict[Any, Any]) -> "Starts":
+    """Return the starts in a table from nodes to positions, as the layouts of networkx are.
+
+    Integers are in ascending order, as those of a graph are.
+
+    Raises:
+        ValueError: if the nodes are neither all names nor all integers.
+    """
+    if all(isinstance(node, str) for node in table):
+        return Starts([*table.values()], tuple(table), is_in_file_order=True, has_heights=False)
+    if not all(isinstance(node, Integral) for node in table):
+        raise ValueError(f"the nodes of the positions should be names, or integers (got {abridged(repr([*table]))})")
+    return Starts([table[node] for node in sorted(table)], (), is_in_file_order=True, has_heights=False)
+
+
 class Starts(NamedTuple):
     """Where the nodes of a record begin."""
 
@@ -284,7 +307,7 @@ class Starts(NamedTuple):
     names: tuple[str, ...]
     """The names of the nodes, if they have names."""
     is_in_file_order: bool
-    """Whether the scenario does not name the node of each pursuer."""
+    """Whether the order is that of a file or a table of nodes, and not of pursuers that the scenario names."""
     has_heights: bool
     """Whether the file had heights, which were dropped."""
 

@@ -14,8 +14,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from desim.config.choice import OneOf, choices_of
-from desim.config.field_docs import fields_of
-from desim.config.key_index import unit_in
+from desim.config.field_docs import fields_of, unit_in
 from desim.config.model_parts import markers_of, models_in
 from desim.config.named_code import definition_of, import_name
 from desim.scenario.named_metrics import NamedMetric
