@@ -8,6 +8,7 @@ from decimal import Decimal
 
 import networkx as nx
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -23,6 +24,7 @@ from desim import (
     Scenario,
     SignalTrace,
 )
+from desim.config.errors import KeyedError
 from desim.kernel.core.clock import Clock
 from desim.kernel.measured.csv_tables import _csv_of
 from desim.kernel.measured.measurements import LAST_CLOCK, PER_SECOND, start_of, time_of
@@ -620,3 +622,45 @@ def test_the_least_value_is_not_in_minutes_and_a_time_is():
 @pytest.mark.parametrize("table", ["t,value\n0,0.1\n1,0.2\n", "t,src,dst,value\n0,0,1,0.1\n1,0,1,0.2\n"])
 def test_a_table_is_shown_by_the_number_of_its_rows(table):
     assert LatencyTrace(table=table, both_ways=True).given()["table"] == "2 rows"
+
+
+class OfPolars:
+    """A frame with the method of polars that writes a table."""
+
+    columns = ("t", "value")
+
+    def write_csv(self):
+        return "t,value\n0.0,0.1\n0.5,\n"
+
+
+FRAME = pd.DataFrame({"t": [0.0, 0.5], "value": [0.1, np.nan]})
+DATES = FRAME.assign(t=pd.date_range("2024-05-01", periods=2, freq="500ms", tz="Europe/Berlin"))
+
+
+@pytest.mark.parametrize("model", [LatencyTrace, LossTrace])
+@pytest.mark.parametrize(
+    "frame",
+    [
+        *(FRAME, FRAME[["value", "t"]], FRAME.set_index("t"), DATES, DATES.set_index("t").rename_axis(None)),
+        *(FRAME.set_axis([7, 5]), FRAME.assign(note="a,b"), OfPolars()),
+    ],
+    ids=["frame", "columns", "index", "dates", "index of dates", "labels", "more columns", "polars"],
+)
+def test_a_frame_is_read_as_its_csv_text(model, frame):
+    trace = model(table=frame)
+    assert trace == model(table="t,value\n0.0,0.1\n0.5,\n") or trace.table.startswith(
+        "t,value\n2024-05-01 00:00:00.000"
+    )
+    assert trace.measurements.times.tolist() == [0, 500_000_000]
+    assert trace.measurements.values[~trace.measurements.is_missing].tolist() == [0.1]
+
+
+def test_a_frame_without_the_columns_is_refused_as_its_text_is():
+    for frame, why in (
+        (FRAME.rename(columns={"value": "rtt"}), "the table has no column 'value'; its columns are t, rtt"),
+        (FRAME["value"], "table: should be a string"),
+        (FRAME.to_numpy(), "table: should be a string"),
+        (pd.DataFrame(), "the table is empty"),
+    ):
+        with pytest.raises(KeyedError, match=re.escape(why)):
+            LatencyTrace(table=frame)

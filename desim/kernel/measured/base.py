@@ -60,6 +60,20 @@ class NamedTable(Value):
         raise NotImplementedError
 
 
+def _csv_of_frame(table: Any) -> str | None:
+    """Return a frame of pandas or polars as CSV text; None for any other value.
+
+    The index of pandas counts if it has a name, or consists of dates, which are the times.
+    """
+    if hasattr(table, "write_csv"):
+        return str(table.write_csv())
+    if not hasattr(table, "to_csv") or not hasattr(table, "columns"):
+        return None
+    has_dates = getattr(table.index.dtype, "kind", "") == "M"
+    names = [name or ("t" if has_dates else f"index_{k}") for k, name in enumerate(table.index.names)]
+    return str(table.to_csv(index=has_dates or any(table.index.names), index_label=names))
+
+
 class LinkTrace(NamedTable):
     """Base of the models that follow measurements: the table, its columns, and how it is replayed."""
 
@@ -99,9 +113,17 @@ class LinkTrace(NamedTable):
     """Time in the trace at which the simulation starts, s; "random": drawn once per seed for all links, which requires
     after = "repeat"."""
     table: str | None = None
-    """Instead of a file: its content as CSV text."""
+    """Instead of a file: its content as CSV text. In Python, it may be a frame of pandas or polars."""
     read_from: Name | None = None
     """Name of the file that the table was read from, for error messages."""
+
+    @model_validator(mode="wrap")  # outside of the conversion to Python's lists, which drops the names of columns
+    @classmethod
+    def _from_frame(cls, data: Any, make: ModelWrapValidatorHandler[Self]) -> Self:
+        """Replace a frame by its content as CSV text."""
+        if isinstance(data, dict) and (text := _csv_of_frame(data.get("table"))) is not None:
+            data = data | {"table": text}
+        return make(data)
 
     @model_validator(mode="before")
     @classmethod
