@@ -36,6 +36,7 @@ from desim.kernel.models.latency import BASES, JITTERS, Lognormal, mean_latency
 from desim.kernel.models.latency_by_link import LATENCIES, LatencyMatrix, PerPair
 from desim.kernel.models.loss import LOSSES, GilbertElliott
 from desim.kernel.models.medium import MEDIA, Bitrate, LoRa
+from desim.kernel.models.netem import Netem
 from desim.kernel.models.reception import RECEPTION_MODELS
 from desim.kernel.models.transport import TRANSPORTS
 from desim.pursuit.byzantine.falsehoods import FALSE_POSITIONS, FALSE_TIMES
@@ -570,16 +571,76 @@ def test_the_class_below_and_a_class_mixed_in_override_as_well(kind):
     assert others == [first] * 3
 
 
-@pytest.mark.parametrize("kind", [kind for kind in (*LATENCY_KINDS, *LOSS_KINDS) if positions(kind, "start_run")])
-def test_a_call_of_the_inherited_model_needs_its_state(kind):
-    """The inherited `__call__` keeps no state from message to message."""
+STATES: dict[str, dict[str, Any]] = {
+    "Netem": {"jitter": 0.05, "correlation": 0.9},
+    "PerPair": {"jitter": Netem(jitter=0.05, correlation=0.9)},
+    "LatencyMatrix": {"values": [[0.1] * 4] * 4, "jitter": Netem(jitter=0.05, correlation=0.9)},
+    "LatencyTrace": {"table": "t,value\n0,0.01\n0.3,0.05\n", "start": "random"},
+    "GilbertElliott": {"share": 0.4, "burst": 4.0},
+    "ByDistance": {"distance": 20.0},
+    "Correlated": {"p": 0.5, "correlation": 0.9},
+    "FourState": {"p13": 0.2},
+    "LossTrace": {"table": "t,value\n0,0.2\n0.3,0.5\n", "start": "random"},
+    "SignalTrace": {"table": "t,value\n0,-80\n0.3,-90\n", "start": "random"},
+}
+"""Parameters of the kinds with a model of a run, so that each message depends on the last one or on its time."""
+CALLERS = {
+    "super": lambda kind, parameters: _calling_super(kind)(**parameters),
+    "object": lambda kind, parameters: _Calling(kind(**parameters)),
+    "wrapper": lambda kind, parameters: type("Theirs", (Passing, _Calling), {})(kind(**parameters)),
+    "function": lambda kind, parameters: _function_of(kind(**parameters)),
+}
 
+
+def _function_of(model):
+    return lambda context, rng: model(context, rng)
+
+
+def _calling_super(kind):
     class Theirs(kind):
         def __call__(self, context, rng):
             return super().__call__(context, rng)
 
+    return Theirs
+
+
+class _Calling:
+    def __init__(self, inner):
+        self.inner = inner
+
+    def __call__(self, context, rng):
+        return self.inner(context, rng)
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("way", CALLERS)
+@pytest.mark.parametrize("kind", [kind for kind in (*LATENCY_KINDS, *LOSS_KINDS) if positions(kind, "start_run")])
+def test_a_model_that_another_model_calls_has_the_state_of_the_run(kind, way):
+    """For all links, for one link, and for duplicates of messages; two runs are the same."""
+    parameters = STATES[kind.__name__]
+    theirs, model = CALLERS[way](kind, parameters), kind(**parameters)
+    name = "latency" if kind in LATENCY_KINDS else "loss"
+    assert events(linked(**{name: theirs})) == events(linked(**{name: model})) == events(linked(**{name: theirs}))
+    one, other = (linked(link=(Link(src=0, dst=1, **{name: each}),)) for each in (theirs, model))
+    assert events(one) == events(other)
+    if name == "loss":
+        assert events(linked(loss=theirs, duplicate=theirs)) == events(linked(loss=model, duplicate=model))
+
+
+@pytest.mark.parametrize("method", ["draw", "quantile"])
+def test_an_inherited_method_that_knows_no_links_needs_a_start_run(method):
+    """The draws and quantiles of a kind are without the state of the links."""
+
+    class Draws(Netem):
+        def draw(self, count, rng):
+            return 2.0 * super().draw(count, rng)
+
+    class Quantiles(Netem):
+        def quantile(self, u):
+            return 2.0 * super().quantile(u)
+
     with pytest.raises(KeyedError, match="should have its own start_run"):
-        Links(**{"latency" if kind in LATENCY_KINDS else "loss": Theirs(**PARAMETERS.get(kind.__name__, {}))})
+        Links(latency={"draw": Draws, "quantile": Quantiles}[method](jitter=0.05, correlation=0.9))
 
 
 def test_a_model_that_is_copied_for_each_run_keeps_its_overrides():

@@ -12,7 +12,7 @@ from desim.config.arguments import abridged, naming_arguments
 from desim.config.arrays import Floats
 from desim.config.caller_warnings import warn_caller
 from desim.config.python_numbers import real, whole
-from desim.kernel.core.link_context import LinkContext
+from desim.kernel.core.link_context import CalledModels, LinkContext
 from desim.kernel.models.latency import mean_latency
 from desim.kernel.models.latency_by_link import LATENCIES
 from desim.kernel.models.links import Links
@@ -72,9 +72,10 @@ class _Links:
         """
         with self.tested.fresh() as fresh:
             model = model_of_run(fresh, self.nodes)
-            rng = np.random.default_rng(run)
+            rng, called = np.random.default_rng(run), CalledModels(self.nodes)
             for number, (src, dst) in enumerate(calls):
-                yield self._reply(model, LinkContext(src, np.array(dst), now + number * step, 100, run), rng)
+                time = now + number * step
+                yield self._reply(model, LinkContext(src, np.array(dst), time, 100, run, called_models=called), rng)
 
     def span(self) -> float:
         """Return the time, s, over which the mean latency is typical."""

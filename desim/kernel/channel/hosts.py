@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from desim.kernel.core.clock import Clock, Instant, Phase
-from desim.kernel.core.link_context import LinkContext
+from desim.kernel.core.link_context import CalledModels, LinkContext
 from desim.kernel.core.seeds import stream
 from desim.kernel.core.units import SECOND, nanoseconds
 from desim.kernel.models.latency import Constant, Latency
@@ -74,12 +74,12 @@ def _delays(env: Clock, model: Latency, size: int, seed: int) -> Callable[[int],
     if type(model) is Constant:
         constant = nanoseconds(model.value)
         return lambda _: constant
-    rng, run_model = stream(seed, "processing"), model_of_run(model, size)
+    rng, run_model, called = stream(seed, "processing"), model_of_run(model, size), CalledModels(size)
     if (buffer := buffered(run_model, rng, as_nanoseconds)) is not None:
         return lambda _: int(buffer.take(1)[0])
 
     def draw(src: int) -> int:
-        context = LinkContext(src, np.array([src]), env.now / SECOND)
+        context = LinkContext(src, np.array([src]), env.now / SECOND, called_models=called)
         return int(times_of(run_model(context, rng), 1, run_model).item())
 
     return draw

@@ -1,12 +1,34 @@
 """The context of one transmission: the inputs of a latency or loss model."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from desim.kernel.core.positions import PositionFunction, as_position_source, distances_from
 from desim.kernel.core.seeds import pair_uniform
+
+
+class CalledModels:
+    """The models of one run that are not those of a link themselves, but are called by these.
+
+    Args:
+        size: number of nodes.
+    """
+
+    def __init__(self, size: int):
+        self._size = size
+        self._started: dict[tuple[int, int], tuple[Any, Any, Any]] = {}
+        """By the `id` of a model and of the generator of a use, both objects, and the model in its state of the run."""
+
+    def of_run(self, model: Any, start_run: Callable[[Any, int], Any], rng: np.random.Generator) -> Any:
+        """Return what `start_run(model, size)` has returned at the first call for this model and this generator."""
+        key = id(model), id(rng)
+        if key not in self._started:
+            self._started[key] = model, rng, start_run(model, self._size)
+        return self._started[key][2]
 
 
 @dataclass(slots=True)
@@ -26,6 +48,19 @@ class LinkContext:
     known_distances: NDArray[np.float64] | None = None
     """The `distances`, if no node moves: a read-only array, the same object for the same `dst`, so a model may keep
     what it computes from it."""
+    called_models: CalledModels | None = None
+    """The models that models of links call; None outside of a run."""
+
+    def of_run(self, model: Any, start_run: Callable[[Any, int], Any], rng: np.random.Generator) -> Any:
+        """Return a model with the state of the run, for a model of a user that calls it; a new one outside of a run.
+
+        Args:
+            model: the model.
+            start_run: the function `start_run(model, size)` that returns the model with the state of a run.
+            rng: the generator of the model of the user.
+        """
+        models = self.called_models or CalledModels(1 + max(self.src, *self.dst.tolist()))
+        return models.of_run(model, start_run, rng)
 
     @property
     def distances(self) -> NDArray[np.float64]:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeVar
 import numpy as np
 
 from desim.kernel.core.events import Cause
-from desim.kernel.core.link_context import LinkContext
+from desim.kernel.core.link_context import CalledModels, LinkContext
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.positions import PositionFunction, PositionSource
 from desim.kernel.core.records import Arrival, per_receiver
@@ -61,6 +61,7 @@ class LinkSampler:
         size = len(graph)
         self._links, self._graph = links, graph
         self._seed, self._positions = seed, positions
+        self._called = CalledModels(size)
         sender = links.processing.sender
         at_sender = nanoseconds(sender.value) if type(sender) is Constant and not links.delays_start else 0
         self.processing = at_sender + nanoseconds(links.processing.receiver)
@@ -249,13 +250,15 @@ class LinkSampler:
                 yield k, models[node], self._context(src, [node], now, size)
 
     def _context(self, src: int, dst: list[int], now: int, size: int) -> LinkContext:
+        seed, positions, called = self._seed, self._positions, self._called
         if len(dst) == 1:
             (node,) = dst
-            return LinkContext(src, self._nodes[node : node + 1], now / SECOND, size, self._seed, self._positions)
+            return LinkContext(src, self._nodes[node : node + 1], now / SECOND, size, seed, positions, None, called)
         receivers = self._receivers.get(src)
         if receivers is None or receivers.nodes is not dst:
             receivers = self._arrays(src, dst)
-        return LinkContext(src, receivers.array, now / SECOND, size, self._seed, self._positions, receivers.distances)
+        known = receivers.distances
+        return LinkContext(src, receivers.array, now / SECOND, size, seed, positions, known, called)
 
     def _arrays(self, src: int, dst: list[int]) -> "_Receivers":
         """Return the arrays of a list of receivers, and keep them for the sender if the list may be used again.

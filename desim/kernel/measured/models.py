@@ -79,7 +79,8 @@ class LatencyTrace(LinkTrace):
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> float | Floats:
         """Return the latency of each link, (k,), or one for all, s; if it is missing, that of the row before."""
-        return PlayedLatencies(self)(context, rng)
+        latencies: float | Floats = context.of_run(self, LatencyTrace.start_run, rng)(context, rng)
+        return latencies
 
 
 class PlayedLatencies:
@@ -114,7 +115,8 @@ class _LossTrace(LinkTrace):
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> bool | Bools:
         """Draw the (k,) losses; return one for all receivers if it is certain."""
-        return PlayedLosses(self)(context, rng)
+        lost: bool | Bools = context.of_run(self, _LossTrace.start_run, rng)(context, rng)
+        return lost
 
 
 class LossTrace(_LossTrace):

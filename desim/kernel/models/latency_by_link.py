@@ -66,7 +66,8 @@ class PerPair(Value):
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> Floats:
         """Return (k,) latencies, s: the base latencies plus a drawn jitter."""
-        return self.base_latencies(context) + as_seconds(self.jitter(context, rng), self.jitter)
+        latencies: Floats = context.of_run(self, PerPair.start_run, rng)(context, rng)
+        return latencies
 
     def base_latencies(self, context: LinkContext) -> Floats:
         """Return the (k,) base latencies, s, of the links."""
@@ -247,7 +248,8 @@ class LatencyMatrix(NamedTable):
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> Floats:
         """Return (k,) latencies, s: the base latencies plus a drawn jitter."""
-        return _PlayedMatrix(self.base_latencies, self.jitter)(context, rng)
+        latencies: Floats = context.of_run(self, LatencyMatrix.start_run, rng)(context, rng)
+        return latencies
 
     def mean_latency(self) -> float | None:
         """Return the mean latency over all links, s; None if the mean of the jitter is not known."""

@@ -111,8 +111,8 @@ class GilbertElliott(Value):
         return Bursts(self)
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> Bools:
-        """Draw (k,) losses from the stationary distribution, without state."""
-        return rng.random(len(context.dst)) < self.share * self.loss_bad + (1.0 - self.share) * self.loss_good
+        """Draw (k,) losses for a model that calls this one."""
+        return np.atleast_1d(context.of_run(self, GilbertElliott.start_run, rng)(context, rng))
 
 
 class Bursts:
@@ -193,8 +193,9 @@ class Correlated(Value):
         return lambda context, rng: bool(limit) and numbers(context, rng) <= limit  # as in Linux, p = 0 draws nothing
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> bool | Bools:
-        """Draw (k,) losses of the first message of each link, without state; return False if nothing can be lost."""
-        return Correlated.start_run(self, 1)(context, rng)
+        """Draw (k,) losses for a model that calls this one; return False if nothing can be lost."""
+        lost: bool | Bools = context.of_run(self, Correlated.start_run, rng)(context, rng)
+        return lost
 
 
 class FourState(Value):
@@ -237,8 +238,9 @@ class FourState(Value):
         return _FourStates(self)
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> Bools:
-        """Draw (k,) losses from the stationary distribution, without state."""
-        return _FourStates(self)(context, rng)
+        """Draw (k,) losses for a model that calls this one."""
+        lost: Bools = context.of_run(self, FourState.start_run, rng)(context, rng)
+        return lost
 
 
 class _FourStates:

@@ -79,8 +79,7 @@ class Netem(Value):
 
     def start_run(self, size: int) -> Any:
         """Return the model of one run: one that keeps the state of each link, if the links have any."""
-        is_memoryless = not self.correlation and (not self.reorder or (self.gap == 1 and not self.reorder_correlation))
-        return self if is_memoryless else _NetemLinks(self)
+        return self if self._is_memoryless else _NetemLinks(self)
 
     def quantile(self, u: Floats) -> Floats:
         """Return the u-quantile of the latency, s, as if reordering were not correlated."""
@@ -100,8 +99,14 @@ class Netem(Value):
         return self.quantile(rng.random(count))
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> Floats:
-        """Draw (k,) latencies, s, one per receiver, without state."""
-        return self.draw(len(context.dst), rng)
+        """Draw (k,) latencies, s, one per receiver."""
+        model = self if self._is_memoryless else context.of_run(self, Netem.start_run, rng)
+        return model.draw(len(context.dst), rng) if model is self else model(context, rng)
+
+    @property
+    def _is_memoryless(self) -> bool:
+        """Whether the latencies of a link are independent."""
+        return not self.correlation and (not self.reorder or (self.gap == 1 and not self.reorder_correlation))
 
     @property
     def _reordered_share(self) -> float:

@@ -54,13 +54,14 @@ class LinkTraits(Traits):
     def check(cls, value: Any) -> None:
         """Check the traits of a model, see `Traits.check`, and that `start_run` makes a model with its own methods.
 
-        If `start_run` made another model, methods that a user's class overrides or wraps would have no effect in a run.
+        If `start_run` of a user made another model, methods that a class overrides or wraps would have no effect in a
+        run. Only `__call__` of a built-in model has the state of the run, see `LinkContext.of_run`.
         """
         super().check(value)
         kind: type = type(value)
         if "start_run" in cls.passed_on(value) and (start_run := getattr(value, "start_run", None)) is not None:
             inner = getattr(start_run, "__self__", None)
-            if start_run(1) is not inner:  # the wrapped model has state
+            if not is_ours(type(inner)) and start_run(1) is not inner:  # the wrapped model has state
                 raise ValueError(
                     f"{name_of(value)} passes on start_run of {name_of(inner)}, which makes another model for each run,"
                     f" and its own __call__ knows only the one without state: {NEEDED}"
@@ -70,10 +71,11 @@ class LinkTraits(Traits):
         starter = _definer(kind, "start_run")
         method = next(name for name in ("__call__", "draw", "quantile") if _is_newer(kind, name, "start_run"))
         function = getattr(kind, method)
-        # A function with `super()` has the free variable `__class__`. A method that does not call the built-in one
-        # needs no state, so a run may use the model itself.
+        # A function with `super()` has the free variable `__class__`. The built-in `draw` and `quantile` know no links,
+        # so they have no state. A method that does not call them needs none, so a run may use the model itself.
         calls_super = "__class__" in getattr(getattr(function, "__code__", None), "co_freevars", ())
-        if (calls_super or not is_ours(starter)) and not isinstance(value.start_run(1), kind):
+        loses_state = not is_ours(starter) or (calls_super and method != "__call__")
+        if loses_state and not isinstance(value.start_run(1), kind):
             raise ValueError(
                 f"{name_of(value)} has its own {method}, and start_run of {starter.__name__} makes another model for"
                 f" each run, which keeps the state of the links: {NEEDED}"
