@@ -62,9 +62,9 @@ from desim.pursuit.motion.environment import Environment
 from desim.pursuit.motion.flow import SteadyFlow, displacement
 from desim.pursuit.motion.guidance import guided_velocities
 from desim.pursuit.sensing.noise import PositionNoise, covariance_of
-from desim.pursuit.team.judges import Judge, ignored_by
+from desim.pursuit.team.judges import Accusation, Judge, ignored_by
 from desim.pursuit.team.targeted_faults import ChaserCut
-from desim.pursuit.team.trust import Credulous
+from desim.pursuit.team.trust import Accusations, Credulous
 from desim.results.run_folder import read, write
 from desim.scenario.checks import warnings
 from desim.scenario.overrides import ScenarioError
@@ -708,6 +708,81 @@ def test_what_a_liar_of_a_user_says_is_a_pursuer_and_a_body_like_the_honest_one(
         run(scenario(fault=(liar(node=0, start=0.0),), announce=Announcements(heartbeat=0.1)), 1)
     honest = type("Theirs", (ByzantineFault,), {"says": lambda self, me, body: (np.int64(me.id), body)})
     run(scenario(fault=(honest(node=0, start=0.0),), announce=Announcements(heartbeat=0.1)), 1)
+
+
+FORWARDED = {
+    "says_to": {},
+    "drops": {"dissemination": "flooding"},
+    "accuses": {"trust": Accusations()},
+}
+"""What a team needs so that a method of a Byzantine fault is called, by the method."""
+
+
+def lying(method, answer):
+    """Return the numbers of messages of a run in which a method of a user's liar returns answer(its arguments)."""
+    liar = type("Theirs", (ByzantineFault,), {method: lambda self, *given: answer(*given)})
+    announce = Announcements(heartbeat=0.1, **FORWARDED[method])
+    numbers = summary(run(scenario(fault=(liar(node=0, start=0.0),), announce=announce), 1))
+    return numbers.messages_sent, numbers.messages_delivered
+
+
+@pytest.mark.parametrize(
+    ("method", "answer"),
+    [
+        ("says_to", lambda me, body, linked: 5),
+        ("says_to", lambda me, body, linked: linked),
+        ("says_to", lambda me, body, linked: dict.fromkeys(linked, body)),
+        ("says_to", lambda me, body, linked: [(node, body) for node in linked]),
+        ("says_to", lambda me, body, linked: [(linked, 1)]),
+        ("says_to", lambda me, body, linked: [([str(node) for node in linked], body)]),
+        ("drops", lambda me: None),
+        ("drops", lambda me: 0.3),
+        ("drops", lambda me: "no"),
+        ("accuses", lambda: (1,)),
+        ("accuses", lambda: [1, 2]),
+        ("accuses", lambda: 1),
+        ("accuses", lambda: Accusation(1)),
+        ("accuses", lambda: Accusation("1")),
+    ],
+)
+def test_what_else_a_liar_of_a_user_answers_is_checked_with_a_sentence_that_names_it(method, answer):
+    """A probability in place of a truth value would withhold everything, and a pair per neighbour tell nobody."""
+    with pytest.raises(ValueError, match=rf"^{method}\(.*\) should return .* from Theirs"):
+        lying(method, answer)
+
+
+@pytest.mark.parametrize(
+    ("method", "plain", "others"),
+    [
+        (
+            "says_to",
+            lambda me, body, linked: [(linked, body)],
+            [
+                lambda me, body, linked: [(np.array(linked), body)],
+                lambda me, body, linked: [(filter(lambda node: node >= 0, linked), body)],
+                lambda me, body, linked: iter([({*linked}, body)]),
+            ],
+        ),
+        ("drops", lambda me: True, [lambda me: np.True_]),
+        (
+            "accuses",
+            lambda: Accusation((1, 2)),
+            [lambda: Accusation([1, 2]), lambda: Accusation(np.array([1, 2])), lambda: Accusation(range(1, 3))],
+        ),
+    ],
+)
+def test_a_liar_of_a_user_may_answer_with_any_collection_and_any_truth_value(method, plain, others):
+    assert {lying(method, other) for other in others} == {lying(method, plain)}
+
+
+def late(truth, least, rng):
+    return "late"
+
+
+def test_a_wrong_false_capture_time_names_its_function():
+    liar = Liar(node=0, start=0.0, phi=late)
+    with pytest.raises(ValueError, match=r"should be a number or inf, got 'late' from late \(.*, line \d+\)"):
+        run(scenario(fault=(liar,), announce=Announcements(heartbeat=0.1, payload="time")), 1)
 
 
 def test_losses_of_a_users_model_have_a_cause_of_their_own():

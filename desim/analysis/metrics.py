@@ -149,8 +149,8 @@ class Summary(Mapping[str, Any]):
     """The metrics of one run by name, in the order of tables; for example, `summary["active_time"]`.
 
     A metric is None if it is undefined, as a capture time without a capture, or if a recording that it needs is
-    missing. The built-in metrics are attributes, too: `summary.active_time`. A run that was stored before a metric
-    existed lacks it: `summary.get(name)` is None, and there is no such attribute.
+    missing. The metrics are attributes, too: `summary.active_time`. A run that was stored before a metric existed lacks
+    it: `summary.get(name)` is None, and there is no such attribute.
 
     `str` returns a line for each metric that is not None: its name, value and unit.
 
@@ -171,9 +171,11 @@ class Summary(Mapping[str, Any]):
     if not TYPE_CHECKING:  # a type checker reports missing attributes itself
 
         def __getattr__(self, name: str) -> Any:
-            """Raise AttributeError with the name that may be meant."""
+            """Return the value of a user's metric; raise AttributeError with the name that may be meant."""
             if name.startswith("_") or hasattr(type(self), name):  # the attribute itself says why it has no value
                 return object.__getattribute__(self, name)
+            if name in self._values:
+                return self._values[name]
             raise AttributeError(
                 f"there is no metric {name!r}{did_you_mean(name, self)}; the others are in print(summary)"
             )

@@ -36,6 +36,9 @@ def test_a_metric_that_is_given_is_in_the_summary_after_the_built_in_ones(result
     numbers = summary(result, {"half": half})
     assert list(numbers) == [*METRICS, "half"]
     assert numbers["half"] == numbers["active_time"] / 2.0 == numbers.active_time / 2.0
+    assert numbers.half == numbers["half"]  # an attribute, as the built-in ones are
+    with pytest.raises(AttributeError, match="there is no metric 'halve', did you mean 'half'"):
+        _ = numbers.halve
     assert str(numbers).splitlines()[-1] == f"half: {numbers['half']:.6g}"
     assert plain(numbers) == plain(summary(result)) | {"half": numbers["half"]}
 

@@ -20,7 +20,7 @@ from pydantic import model_validator
 from desim.config.answers import wrong_answer
 from desim.config.choice import OneOf
 from desim.config.model import AnyOrder, Duration, Extent, FirstError, Flag, NotEmpty, Probability, Rate, Value
-from desim.config.python_numbers import as_complex, real
+from desim.config.python_numbers import as_complex, as_real
 from desim.config.traits import check_inherited_flag, kind_of
 from desim.kernel.core.seeds import pair_uniform, stream
 from desim.kernel.core.units import nanoseconds
@@ -133,9 +133,10 @@ class FalseAnnouncements(ByzantineFault):
     def _announced_phi(self, me: Speaker, action: int, truth: float) -> float:
         if self.phi is None:
             return truth
-        phi = real(self.phi(truth, me.least_phi(action), me.rng), "a false capture time, in s,")
+        answer: Any = self.phi(truth, me.least_phi(action), me.rng)
+        phi = as_real(answer)
         if isnan(phi):
-            raise ValueError("a false capture time, in s, should be a number or inf (got nan)")
+            raise wrong_answer("a false capture time, in s, should be a number or inf", answer, self.phi)
         return phi
 
     def _announced_place(self, truth: complex, me: Speaker) -> complex:

@@ -8,6 +8,7 @@ active.
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Sequence
 from functools import partial
+from operator import index
 from typing import Any
 
 import simpy
@@ -33,7 +34,7 @@ from desim.pursuit.byzantine.speaker import Speaker
 from desim.pursuit.sensing.views import View
 from desim.pursuit.team.announcements import Forwarded, relayed_records, with_records
 from desim.pursuit.team.judges import PORT as ACCUSATIONS
-from desim.pursuit.team.judges import Accusation
+from desim.pursuit.team.judges import TRUTH, Accusation
 
 PORT = ReservedPort("forged announcements", __name__)
 """The port of announcements that are in the name of a teammate, or that differ from neighbour to neighbour."""
@@ -41,6 +42,8 @@ AS_PUBLISHED = BestEffort()
 """The transport of forged announcements: like honest ones, which are published, they are transmitted once."""
 SetAction = Callable[[int, int], None]
 """A function that sets the action of a pursuer."""
+Version = tuple[Collection[int], Any]
+"""What a pursuer announces to some neighbours: (the neighbours, the body)."""
 Replacement = tuple[int | None, Collection[int] | None, Any]
 """A message that replaces another one: (receiver, or None: all; the neighbours that it is for, or None: all; body)."""
 
@@ -130,7 +133,7 @@ class LyingTeam:
         """Return a function that sends the false accusations of a pursuer or, without any, calls `report`."""
 
         def act() -> None:
-            accusations = filter(None, [model.accuses() for model in self._active[pursuer]])
+            accusations = filter(None, map(_accusation, self._active[pursuer]))
             accused = {suspect for accusation in accusations for suspect in accusation.accused}
             if accused:
                 self.send(pursuer, None, Accusation(tuple(sorted(accused))), port=ACCUSATIONS)
@@ -151,10 +154,10 @@ class LyingTeam:
             name, body = answer
         return name, body
 
-    def _says_to(self, src: int, body: Any) -> list[tuple[Collection[int], Any]] | None:
+    def _says_to(self, src: int, body: Any) -> list[Version] | None:
         """Return each body that a pursuer announces, with the nodes that it tells; None: all get the same."""
         linked = self._network.topology.linked(src)
-        answers = (model.says_to(self._speaker(src), body, linked) for model in self._active[src])
+        answers = (_versions(model, self._speaker(src), body, linked) for model in self._active[src])
         return next((versions for versions in answers if versions is not None), None)
 
     def _replacements(self, src: int, dst: int | None, body: Any) -> Iterator[Replacement]:
@@ -209,7 +212,7 @@ class LyingTeam:
         return any(model.acts == "stay" for model in self._active[pursuer])
 
     def _drops(self, pursuer: int) -> bool:
-        return any(model.drops(self._speaker(pursuer)) for model in self._active[pursuer])
+        return any(_drops(model, self._speaker(pursuer)) for model in self._active[pursuer])
 
     # When the faults begin and end.
 
@@ -236,6 +239,53 @@ class LyingTeam:
 
         if misbehaviour.end <= MAX_TIME:
             self._at(misbehaviour.end, end)
+
+
+def _versions(model: ByzantineFault, speaker: Speaker, body: Any, neighbours: Sequence[int]) -> list[Version] | None:
+    """Return each body that a fault announces to some neighbours, or None; see `ByzantineFault.says_to`.
+
+    Raises:
+        AnswerError: if a fault of a user returns anything else, or a body of another type.
+    """
+    answer: list[Version] | None = model.says_to(speaker, body, neighbours)
+    if answer is None or is_ours(type(model)):
+        return answer
+    try:
+        versions: list[Version] = [(frozenset(map(index, told)), version) for told, version in answer]
+    except (TypeError, ValueError):
+        versions = [((), None)]
+    if all(isinstance(version, type(body)) for _, version in versions):
+        return versions
+    form = f"pairs of neighbours and a body of the type {type(body).__name__}, [([1, 2], body)] for instance, or None"
+    raise wrong_answer(f"says_to(me, body, neighbours) should return {form}", answer, model)
+
+
+def _drops(model: ByzantineFault, speaker: Speaker) -> bool:
+    """Return whether a fault withholds what a pursuer should forward; see `ByzantineFault.drops`.
+
+    Raises:
+        AnswerError: if a fault of a user returns no boolean.
+    """
+    withheld: Any = model.drops(speaker)
+    if not isinstance(withheld, TRUTH):
+        raise wrong_answer("drops(me) should return True or False", withheld, model)
+    return bool(withheld)
+
+
+def _accusation(model: ByzantineFault) -> Accusation | None:
+    """Return the accusation of a fault, or None; see `ByzantineFault.accuses`.
+
+    Raises:
+        AnswerError: if a fault of a user returns anything else.
+    """
+    answer: Any = model.accuses()
+    if answer is None:
+        return None
+    try:
+        return Accusation(tuple(map(index, answer.accused)))
+    except (AttributeError, TypeError) as error:
+        form = "accuses() should return an Accusation of teammates, Accusation((1, 2)) for instance, or None"
+        raise wrong_answer(form, answer, model) from error
 
 
 def _check_answer(answer: Any, body: Any, model: ByzantineFault) -> None:
