@@ -213,8 +213,12 @@ def test_reordered_messages_have_their_share(gap, correlation):
 
     assert abs(off(p)) < 3
     assert abs(off(0.44)) > 3
-    model = Netem(delay=0.1, reorder=p, gap=gap)
-    if not correlation:
+    model = Netem(delay=0.1, reorder=p, gap=gap, reorder_correlation=correlation)
+    if correlation:
+        assert model.mean_latency() is None
+        for certain in (0.0, 1.0):
+            assert model.model_copy(update={"reorder": certain}).mean_latency() == pytest.approx(0.1 * (1 - certain))
+    else:
         assert model.mean_latency() == pytest.approx(0.1 * (1 - share))
         assert model.quantile(np.array([0.9 * share, 1.1 * share])).tolist() == [0.0, 0.1]
 

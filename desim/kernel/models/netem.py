@@ -90,7 +90,12 @@ class Netem(Value):
         return np.where(u < reordered, 0.0, self._delay_quantile(np.maximum(u - reordered, 0.0) / (1.0 - reordered)))
 
     def mean_latency(self) -> float | None:
-        """Return the mean latency, s; that of a uniform distribution is taken over 4096 values."""
+        """Return the mean latency, s; None if reordering is correlated, which changes the share of reordered messages.
+
+        The mean of a uniform distribution is taken over 4096 values.
+        """
+        if self.reorder_correlation and 0.0 < self.reorder < 1.0:
+            return None
         size = len(self.numbers() or range(SIZE))
         return (1.0 - self._reordered_share) * fsum(self._delay_quantile((np.arange(size) + 0.5) / size)) / size
 
