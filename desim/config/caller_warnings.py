@@ -28,5 +28,5 @@ def warn_reader(text: str, info: "ValidationInfo") -> None:
 
     If a scenario file names it, all commands give this warning, with its key (`desim.scenario.checks`).
     """
-    if "folder" not in (info.context or {}):
+    if (info.context or {}).get("is_program", True):
         warn_caller(text)

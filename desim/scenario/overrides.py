@@ -54,11 +54,13 @@ class Source:
     """Whether the scenario may name code to be run, and files outside of `folder`."""
     files: dict[KeyPath, str] = field(default_factory=dict)
     """For each key whose value is from a base (a file that the key `base` names), the path of this base."""
+    is_program: bool = False
+    """Whether a program has given it; then warnings tell the program how files are read that it names."""
 
     @classmethod
     def of(cls, scenario: Value) -> Self:
         """Return the source of a scenario that was constructed in Python: the arguments given, without defaults."""
-        return cls("the scenario", _tables(scenario), type(scenario), allow_import=True)
+        return cls("the scenario", _tables(scenario), type(scenario), allow_import=True, is_program=True)
 
     def where(self, place: KeyPath) -> str:
         """Return the place where a key was set: `file:line`, or the description of the last override.

@@ -19,8 +19,9 @@ BASE = "base"
 def validated(source: Source, model: type[Model]) -> Model:
     """Return the scenario of a source; raise ScenarioError with all errors of the source, sorted by line."""
     folder = Path(source.name).parent if source.folder is None else source.folder
+    context = {"folder": folder, "allow_import": source.allow_import, "is_program": source.is_program}
     try:
-        return model.model_validate(source.tables, context={"folder": folder, "allow_import": source.allow_import})
+        return model.model_validate(source.tables, context=context)
     except ValidationError as error:
         problems, cause = _problems(error, source, model), cause_in(error)
     raise ScenarioError(*sorted(problems, key=lambda problem: (problem.line, problem.where, str(problem)))) from cause

@@ -72,6 +72,23 @@ def test_how_a_file_is_read_is_told_to_the_program_once(name, tmp_path):
     assert (warning.filename, name in str(warning.message)) == (__file__, True)
 
 
+def test_a_file_that_a_program_names_by_a_key_is_told_once_and_one_of_a_scenario_file_by_the_commands(tmp_path):
+    """The program gives it to `with_` or to the grid of a sweep; later changes of the scenario do not tell it again."""
+    (tmp_path / "edges.csv").write_text("src,dst,delay\n0,1,0.1\n")
+    (tmp_path / "named.toml").write_text("team.count = 2\nnetwork.graph = {kind = 'edges', file = 'edges.csv'}\n")
+    table = {"kind": "edges", "file": str(tmp_path / "edges.csv")}
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        desim.load(tmp_path / "named.toml").with_({"horizon": 1.0})
+        assert not caught
+        made = DRAWING.with_({"network.graph": table, "evader": Evader()})
+        assert len(caught) == 1
+        made.with_({"horizon": 0.1})
+        assert len(caught) == 1
+        desim.sweep(DRAWING.with_({"evader": Evader()}), {"network.graph": [{"kind": "complete"}, table]}, reps=1)
+    assert [(warning.filename, "delay" in str(warning.message)) for warning in caught] == [(__file__, True)] * 2
+
+
 def test_a_file_that_is_read_as_it_is_meant_is_not_told_of(tmp_path):
     """Or that is read as the program says."""
     (tmp_path / "prr.csv").write_text("t,prr\n0,0.9\n1,0.8\n")

@@ -21,6 +21,10 @@ from desim.scenario.checks import warnings
 from desim.scenario.scenario import Scenario, Team
 from desim.scenario.toml import load
 
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:.*edges have attributes that are not read", "ignore:.*all edges are one-way"
+)
+
 
 def as_json(data_of):
     return lambda graph, file: Path(file).write_text(json.dumps(data_of(graph)))
@@ -601,7 +605,6 @@ def test_a_link_between_names_is_refused_with_their_numbers():
         Links(graph=graph, link=[{"src": 0, "dst": "uav", "latency": 0.1}])
 
 
-@pytest.mark.filterwarnings("ignore:.*attributes that are not read")
 @pytest.mark.parametrize("ends", [*ENDS, *END_WORDS], ids="-".join)
 @pytest.mark.parametrize("mark", [" ", ",", "\t"])
 def test_nodes_may_have_the_names_of_columns(tmp_path, ends, mark):
@@ -1012,7 +1015,6 @@ def test_a_file_in_place_of_a_list_is_refused_with_the_key_that_reads_it(key, ta
         Scenario(**{key: table})
 
 
-@pytest.mark.filterwarnings("ignore:.*attributes that are not read")
 def test_the_attributes_of_edges_that_are_read_are_not_told_as_unread(tmp_path):
     """Latency, loss and order, and nothing else."""
     (tmp_path / "g.csv").write_text("source,target,latency,loss,order,ordr\n0,1,0.5,0.25,fifo,fifo\n")

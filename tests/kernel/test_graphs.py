@@ -15,6 +15,8 @@ from desim.kernel.models.latency import Constant, Gamma
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli, GilbertElliott
 
+pytestmark = pytest.mark.filterwarnings("ignore:.*all edges are one-way")
+
 SIZES = [1, 2, 3, 4, 7, 12]
 
 

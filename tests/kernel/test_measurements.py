@@ -44,7 +44,7 @@ def read(tmp_path):
 
     def made(text, model=LatencyTrace, **options):
         (tmp_path / "rtt.csv").write_text(text, encoding="utf-8")
-        return model.model_validate({"file": "rtt.csv"} | options, context={"folder": tmp_path})
+        return model.model_validate({"file": "rtt.csv"} | options, context={"folder": tmp_path, "is_program": False})
 
     return made
 
