@@ -193,6 +193,16 @@ def test_an_evader_is_captured_within_the_bound_however_long_the_motion_step(str
         assert captured[0].t / SECOND <= bound(made, seed) * (1.0 + 1e-6) + 1e-6, seed
 
 
+@pytest.mark.parametrize("order", ["simultaneous", "evader_first"])
+@pytest.mark.parametrize("behind", [0.01, 0.05, 0.5])
+def test_a_wall_behind_an_evader_does_not_slow_its_pursuer(behind, order):
+    """The pursuer could go .4 m in a step, and is captured after .3 m - eps, wherever the wall behind it is."""
+    wall = {"line": [[0.3 + behind, -1.0], [0.3 + behind, 1.0]], "blocks": ["motion"]}
+    near = {"team.positions": [[0.0, 0.0]], "evader.position": [0.3, 0.0], "wall": [wall], "motion.order": order}
+    made = scenario(near | {"evader.strategy": {"kind": "still"}, "motion.step": 0.2})
+    assert summary(watched(made, 0)).capture_time == pytest.approx((0.3 - RADIUS) / SPEED, abs=1e-9)
+
+
 def test_nothing_is_captured_through_a_wall():
     """At a distance of .04 m, within the radius: the evader stands still, so the time is the length of the way."""
     near = {"team.positions": [[-0.02, 0.0]], "evader.position": [0.02, 0.0], "evader.strategy": {"kind": "still"}}

@@ -148,6 +148,9 @@ class Steering:
         """
         target = self._targets[evader - 1]
         place, velocity = target.position, self._players.velocity(target.player)
+        if self._walled is not None:  # a robot may keep the velocity until then, and is to stop before a wall
+            here, speed = self._players.position(pursuer), self._speed_of[pursuer]
+            return self._walled.course(here, place, speed, now, until, stops=False, turns=False)[0]
         aim = place + self._drift(target.player, velocity, now, until) * seconds(until - now)
         return self._towards(pursuer, place, aim, velocity, now, until)
 

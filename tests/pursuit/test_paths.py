@@ -256,6 +256,24 @@ def test_a_player_that_follows_a_path_turns_beside_its_corners():
         assert space.along(source, target, share * total) == pytest.approx(place, abs=1e-7)
 
 
+def test_a_player_stands_at_an_aim_before_a_wall():
+    """It does not come to the wall, whenever it is asked; if it cannot turn within the step, it comes later."""
+    space, aim, step = Walled([Wall(line=((0, -5), (0, 5)))]), -0.01 + 0.7j, 200_000_000
+    for here in (-0.2 + 0.5j, -0.1 + 1j, -0.3 + 0.71j):
+        velocity, turn = space.course(here, aim, 2.0, 0, step, stops=False)
+        assert abs(velocity) == pytest.approx(2.0)
+        assert turn == pytest.approx(abs(aim - here) / 2.0 * 1e9, abs=1)
+        for now in (turn, turn + 1, step):
+            place = space.advance(here, aim, 2.0, 0, now, step)
+            assert place == pytest.approx(aim, abs=3e-9)
+            assert space.are_free(np.array([place]))[0]
+        kept, until = space.course(here, aim, 2.0, 0, step, stops=False, turns=False)
+        assert (here + kept * 0.2, until) == (pytest.approx(aim), step)
+    aside = -0.3 + 0.69j  # no wall within a step
+    assert space.course(-0.3 + 0.4j, aside, 2.0, 0, step, stops=False) == (pytest.approx(2j), step)
+    assert space.course(-0.3 + 0.4j, aside, 2.0, 0, step, stops=True) == (pytest.approx(1.45j), step)
+
+
 def test_walls_that_do_not_block_motion_leave_the_plane():
     line = ((0.0, -5.0), (0.0, 5.0))
     assert space_among(()) is PLANE

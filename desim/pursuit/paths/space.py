@@ -8,7 +8,7 @@ from cmath import rect
 from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 from itertools import pairwise
-from math import ceil, inf, pi
+from math import ceil, floor, inf, pi
 from typing import ClassVar
 
 import numpy as np
@@ -204,13 +204,14 @@ class Walled(Plane):
         return place - here, place == aim
 
     def course(
-        self, here: complex, aim: complex, speed: float, now: int, until: int, *, stops: bool
+        self, here: complex, aim: complex, speed: float, now: int, until: int, *, stops: bool, turns: bool = True
     ) -> tuple[complex, int]:
         """Return the velocity, m/s, of a player that follows the shortest path, and the time, ns, until which it holds.
 
         A player that is closer to the aim than a motion step keeps its speed through the aim, as in the plane: where
-        it chases an evader, the aim may be behind the evader. It slows down and arrives at the end of the step if it
-        is to stop there, or if a wall is in the way.
+        it chases an evader, the aim may be behind the evader. If a wall is in the way, it keeps its speed up to the
+        aim, and stands there until the end of the step. A player that is to stop at the aim, or that keeps its velocity
+        for the whole step, slows down instead and arrives at the end of the step.
 
         Args:
             here: its position, m.
@@ -219,6 +220,7 @@ class Walled(Plane):
             now: the present, ns.
             until: the end of the motion step, ns.
             stops: whether it is to stop at the aim.
+            turns: whether it takes another velocity at the time that is returned, and not only at the end of the step.
         """
         piece, is_last = self.leg(here, aim, speed)
         length = abs(piece)
@@ -227,8 +229,12 @@ class Walled(Plane):
         if is_last:
             duration = seconds(until - now)
             velocity = piece / length * speed
-            if length < speed * duration and (stops or not self._is_free(here, velocity * duration)):
-                velocity = piece / duration
+            if length < speed * duration:
+                arrival = now + floor(length / speed * SECOND)  # not later, so that no rounding leads into the wall
+                if stops or arrival == now:
+                    velocity = piece / duration
+                elif not self._is_free(here, velocity * duration):
+                    return (velocity, arrival) if turns else (piece / duration, until)
             return velocity, until
         return piece / length * speed, min(now + ceil(length / speed * SECOND), until)
 
