@@ -59,7 +59,7 @@ CALLS: dict[str, tuple[Any, ...]] = {
     "Scenario(protocol=5)": ("protocol: should be a kind", "allowed: argmin"),
     "Scenario(protocol=lambda: 3)": ("protocol: should accept a call with (me)",),
     "Scenario(team=dict(count=2, speeds={0: 1.0, 1: 2.0}))": ("team.speeds.0: should be a text, the name of a key",),
-    "Team(positions={0: (0.0, 1.0), 1: (2.0, 3.0)})": ("positions.0: should be a text, the name of a key",),
+    "Team(positions={0.5: (0.0, 1.0), 1: (2.0, 3.0)})": ("positions: the nodes of the positions should be names",),
     "Scenario(horizon='30s')": ("horizon: should be a number, in s: 30 instead of the text '30s'",),
     "Scenario(capture=dict(radius='10 cm'))": ("capture.radius: should be a number, in m: 0.1",),
     "Scenario(capture=dict(radius='10 ms'))": ("capture.radius: should be a number without a unit (got '10 ms')",),
