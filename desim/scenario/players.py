@@ -39,6 +39,12 @@ class Speeds(Value):
     """Speed of the last pursuer, m/s."""
 
 
+def _with_nodes(schema: dict[str, Any]) -> None:
+    """Add the table from nodes to positions, which becomes a list, to the schema of positions."""
+    of_list = schema["oneOf"][0]
+    schema["oneOf"].append({"type": "object", "additionalProperties": of_list["items"]})
+
+
 class Team(Value):
     """The pursuers: number, initial positions, speeds, initial actions and guidance."""
 
@@ -48,6 +54,7 @@ class Team(Value):
         Annotated[
             Annotated[tuple[Point, ...], FirstError(), Tag("list")] | Annotated[RecordedPositions, Tag("table")],
             in_forms("table", "list"),
+            Field(json_schema_extra=_with_nodes),
         ]
         | None
     ) = None
