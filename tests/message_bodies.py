@@ -13,6 +13,7 @@ import threading
 import types
 import uuid
 from collections import Counter, OrderedDict, UserDict, UserList, UserString, defaultdict, deque
+from collections.abc import Mapping, Sequence, Set
 from decimal import Decimal
 from fractions import Fraction
 from math import inf
@@ -243,6 +244,107 @@ class Number(int):
     """An int that may have attributes."""
 
 
+class Distance(float):
+    pass
+
+
+class TaskId(str):
+    __slots__ = ("__dict__",)
+
+
+class Frame(bytes):
+    pass
+
+
+class Ring(deque):
+    pass
+
+
+class Bag(UserDict):
+    pass
+
+
+class Queue(UserList):
+    pass
+
+
+class Samples(np.ndarray):
+    """An array with attributes, as in the documentation of numpy."""
+
+    def __array_finalize__(self, other):
+        self.rate = getattr(other, "rate", None)
+
+
+class Track(Sequence):
+    """A collection of its own class, which keeps more than its items."""
+
+    def __init__(self, *points, owner=None):
+        self._points = list(points)
+        if owner is not None:
+            self.owner = owner
+
+    def __len__(self):
+        return len(self._points)
+
+    def __getitem__(self, k):
+        return self._points[k]
+
+
+class Board(Mapping):
+    def __init__(self, rows):
+        self.rows = rows
+
+    def __len__(self):
+        return len(self.rows)
+
+    def __iter__(self):
+        return iter(self.rows)
+
+    def __getitem__(self, key):
+        return self.rows[key]
+
+
+@dataclasses.dataclass
+class Chosen(Set):
+    tasks: set[int]
+    by: int
+
+    def __len__(self):
+        return len(self.tasks)
+
+    def __iter__(self):
+        return iter(self.tasks)
+
+    def __contains__(self, task):
+        return task in self.tasks
+
+
+@dataclasses.dataclass
+class Tour(list):
+    cost: float
+
+
+class PlainBid(Bid):
+    """Derived from a dataclass, and none itself."""
+
+    def __init__(self, bidder, *fields):
+        super().__init__(*fields)
+        self.bidder, self._rank = bidder, 3
+
+
+@attrs.define(slots=False)
+class LateAttrs:
+    path: list[int]
+
+    def __attrs_post_init__(self):
+        self.length = len(self.path)
+
+
+def with_attributes(body, **attributes):
+    vars(body).update(attributes)
+    return body
+
+
 def function(a=1):
     """Refer to nothing that changes."""
     return a
@@ -311,7 +413,68 @@ MUTABLE: dict[str, tuple[Any, Any, int | None]] = {
     "tuple of a list": ((1, [2]), [1, [2]], 16),
     "tuple of an object": ((1, Plan(2)), [1, {"class_name": "Plan", "path": [2]}], 16),
     "named tuple of a list": (Named(0, [2]), {"active": 0, "path": [2]}, 16),
-    "named tuple with attributes": (NamedWithAttributes(0, 5), {"active": 0, "path": 5}, 16),
+    "named tuple that may have attributes": (NamedWithAttributes(0, 5), {"active": 0, "path": 5}, 16),
+    "named tuple with attributes": (
+        with_attributes(NamedWithAttributes(0, 5), seen=[1]),
+        {"active": 0, "path": 5, "seen": [1]},
+        24,
+    ),
+    "attributes beside fields": (
+        PlainBid(7, 1, 2.0, [3]),
+        {"task": 1, "price": 2.0, "path": [3], "bidder": 7},
+        32,
+    ),
+    "attributes beside those of attrs": (LateAttrs([5]), {"path": [5], "length": 1}, 16),
+    "int with an attribute": (
+        with_attributes(Number(5), unit="m"),
+        {"class_name": "Number", "value": 5, "unit": "m"},
+        9,
+    ),
+    "float with an attribute": (
+        with_attributes(Distance(5.5), unit="m"),
+        {"class_name": "Distance", "value": 5.5, "unit": "m"},
+        9,
+    ),
+    "text with an attribute": (
+        with_attributes(TaskId("a"), at=[1]),
+        {"class_name": "TaskId", "value": "a", "at": [1]},
+        9,
+    ),
+    "bytes with an attribute": (
+        with_attributes(Frame(b"a"), at=[1]),
+        {"class_name": "Frame", "value": "61", "at": [1]},
+        9,
+    ),
+    "deque with an attribute": (
+        with_attributes(Ring([1, 2]), at=3),
+        {"class_name": "Ring", "items": [1, 2], "at": 3},
+        24,
+    ),
+    "user dict with an attribute": (
+        with_attributes(Bag(a=1), owner=3),
+        {"class_name": "Bag", "items": {"a": 1}, "owner": 3},
+        17,
+    ),
+    "user list with an attribute": (
+        with_attributes(Queue([1, 2]), owner=3),
+        {"class_name": "Queue", "items": [1, 2], "owner": 3},
+        24,
+    ),
+    "array with an attribute": (
+        with_attributes(np.array([1.5, 2.5]).view(Samples), rate=3),
+        {"class_name": "Samples", "items": [1.5, 2.5], "rate": 3},
+        24,
+    ),
+    "own sequence": (Track(1, 2), [1, 2], 16),
+    "own sequence with an attribute": (
+        Track(1, 2, owner=3),
+        {"class_name": "Track", "_points": [1, 2], "owner": 3},
+        24,
+    ),
+    "own mapping with an attribute": (Board({"a": 1}), {"class_name": "Board", "rows": {"a": 1}}, 9),
+    "own set with fields": (Chosen({1, 2}, 3), {"tasks": [1, 2], "by": 3}, 24),
+    "list that is a dataclass": (Tour(2.5), {"class_name": "Tour", "items": [], "cost": 2.5}, 8),
+    "dict with a method as attribute": (Table({"a": 1}, look=len), {"a": 1}, 9),
     "list with attributes": (
         Route([1, 2], cost=3.0, _kept=4),
         {"class_name": "Route", "items": [1, 2], "cost": 3.0},

@@ -15,7 +15,7 @@ import struct
 import types
 import uuid
 import weakref
-from collections import UserString
+from collections import ChainMap, UserDict, UserList, UserString, deque
 from collections.abc import Iterator, Mapping, Sequence, Set
 from decimal import Decimal
 from enum import Enum
@@ -34,6 +34,15 @@ MAX_DEPTH = 100
 """Largest number of nested levels in a body; Python cannot read a JSON text with ten times as many."""
 JSON_ATOMS = frozenset({type(None), bool, int, float, str})
 """The types of JSON without parts."""
+
+
+WRAPPERS = (UserDict, UserList, UserString)
+"""The types whose objects keep their content in the attribute `data`."""
+WITH_VALUE = (
+    *(list, dict, tuple, set, frozenset, deque, np.ndarray, *WRAPPERS),
+    *(int, float, complex, str, bytes, bytearray, Decimal),
+)
+"""The types whose content is not their attributes, so that an object of a derived class may have attributes beside."""
 
 
 class Fields(dict[str, Any]):
@@ -67,8 +76,9 @@ def content(value: Any) -> Any:
     range as a list; a set as a sorted list; a table by columns; bytes in hexadecimal digits; a complex number as its
     real and imaginary part; an enumeration by its value; a date in ISO 8601; a duration in seconds; a fraction, decimal
     number, path, time zone or UUID as text; a function or a class by its name; a missing number (`pandas.NA`) as None;
-    a quantity as its value and its unit; a collection with attributes by its items and its public attributes. Any other
-    object is a dict of its attributes with its class as `class_name`. If it holds more (`is_opaque`), the dict has the
+    a quantity as its value and its unit. Public attributes beside the fields, the items or the value of an object of a
+    derived class are added. Any other object, also a collection that keeps its items in public attributes, is a dict of
+    its attributes with its class as `class_name`. If it holds more (`is_opaque`), the dict has the
     arguments and the state from which pickle would create it again.
 
     Raises:
@@ -92,13 +102,28 @@ def content(value: Any) -> Any:
         return np.asarray(value)
     if is_missing(value):
         return None
-    if is_opaque(kind):
-        return _pickled(value)
+    return _pickled(value) if is_opaque(kind) else _as_object(value)
+
+
+def _as_object(value: Any) -> Fields:
+    if (fields := content_fields(value)) is not None:
+        return fields
     attributes = attributes_of(value)
     name = "class_name"
     while name in attributes:
         name += "_"
-    return Fields({name: kind.__name__} | attributes)
+    return Fields({name: type(value).__name__} | attributes)
+
+
+def is_object(value: Any) -> bool:
+    """Return whether the content of a collection of its own class is its attributes, because it has public ones.
+
+    These may be its items, or something beside them.
+    """
+    kind: type = type(value)
+    if not kind.__dictoffset__ or isinstance(value, (*WITH_VALUE, ChainMap)):
+        return False
+    return any(is_public(name, part) for name, part in attributes_of(value).items())
 
 
 def quantity_of(value: Any) -> Fields | None:
@@ -112,17 +137,24 @@ def quantity_of(value: Any) -> Fields | None:
 
 
 def public_attributes(items: Any) -> Fields:
-    """Return the public attributes of an object of a class that derives from a collection of Python, by name."""
-    if not isinstance(items, list | dict | tuple | set | frozenset) or not type(items).__dictoffset__:
+    """Return the public attributes of an object that are beside its value or its items, by name; see `WITH_VALUE`."""
+    kind: Any = type(items)
+    if not kind.__dictoffset__ or not isinstance(items, WITH_VALUE) or isinstance(items, Enum):
         return Fields()
     attributes = {} if vars(items) is items else vars(items)  # a dict may be its own attributes
-    computed = computed_names(type(items))
-    return Fields({name: item for name, item in attributes.items() if name[0] != "_" and name not in computed})
+    left_out = computed_names(kind) | ({"data"} if isinstance(items, WRAPPERS) else set())
+    return Fields({name: part for name, part in attributes.items() if name not in left_out and is_public(name, part)})
+
+
+def is_public(name: str, part: Any) -> bool:
+    """Return whether an attribute of an object is public data, given its name: no method, and not private."""
+    return name[0] != "_" and not callable(part)
 
 
 def _with_attributes(parts: Any, items: Any) -> Any:
     attributes = public_attributes(items)
-    return Fields({"class_name": type(items).__name__, "items": parts} | attributes) if attributes else parts
+    name = "value" if type(parts) in JSON_ATOMS else "items"
+    return Fields({"class_name": type(items).__name__, name: parts} | attributes) if attributes else parts
 
 
 def is_missing(value: Any) -> bool:
@@ -161,13 +193,21 @@ def _pickled(value: Any) -> Any:
 
 
 def content_fields(value: Any) -> Fields | None:
-    """Return the fields of a dataclass, a named tuple, or a pydantic, attrs or msgspec model; None for others."""
+    """Return the fields of a dataclass, a named tuple, or a pydantic, attrs or msgspec model; None for others.
+
+    Public attributes beside the fields are among them.
+    """
     kind: Any = type(value)
     names = _field_names(kind)
     if names is None:
         return None
-    extra = (isinstance(value, BaseModel) and value.model_extra) or {}
-    return Fields({name: getattr(value, name) for name in names if hasattr(value, name)} | extra)
+    fields = Fields({name: getattr(value, name) for name in names if hasattr(value, name)})
+    if isinstance(value, BaseModel):
+        return Fields(fields | (value.model_extra or {}))
+    if kind.__dictoffset__:
+        beside = attributes_of(value).items()
+        fields |= {name: part for name, part in beside if name not in fields and is_public(name, part)}
+    return fields
 
 
 @functools.cache
@@ -235,12 +275,12 @@ def check_depth(depth: int) -> None:
 
 content.register(type(None), lambda value: value)
 content.register(bool, lambda value: value)
-content.register(int, int)
-content.register(float, float)
-content.register(str, lambda text: str.__str__(text))
-content.register(complex, lambda number: [number.real, number.imag])
-content.register(bytes, lambda octets: octets.hex())
-content.register(bytearray, lambda octets: octets.hex())
+content.register(int, lambda number: _with_attributes(int(number), number))
+content.register(float, lambda number: _with_attributes(float(number), number))
+content.register(str, lambda text: _with_attributes(str.__str__(text), text))
+content.register(complex, lambda number: _with_attributes([number.real, number.imag], number))
+for _octets in (bytes, bytearray):
+    content.register(_octets, lambda octets: _with_attributes(octets.hex(), octets))
 content.register(memoryview, lambda octets: octets.tobytes().hex())
 content.register(array.array, lambda items: items.tolist())
 content.register(Enum, lambda member: member.value)
@@ -250,7 +290,7 @@ content.register(datetime.timedelta, lambda duration: duration.total_seconds())
 content.register(PurePath, lambda path: path.as_posix())
 content.register(types.ModuleType, lambda module: str(module.__name__))
 for _text in (UserString, Decimal, Fraction, uuid.UUID, datetime.tzinfo):
-    content.register(_text, str)
+    content.register(_text, lambda value: _with_attributes(str(value), value))
 content.register(
     functools.partial, lambda call: Fields(class_name="partial", func=call.func, args=call.args, keywords=call.keywords)
 )
@@ -266,13 +306,17 @@ for _code in (type, types.MethodType):
 @content.register(tuple)
 @content.register(Sequence)
 def _items(items: Sequence[Any]) -> Any:
-    fields = content_fields(items)
-    return _with_attributes(list(items), items) if fields is None else fields
+    fields = None if isinstance(items, list) else content_fields(items)
+    if fields is None:
+        return _as_object(items) if is_object(items) else _with_attributes(list(items), items)
+    return fields
 
 
 @content.register(Mapping)
 def _mapping(items: Mapping[Any, Any]) -> Any:
     """Return a mapping with JSON texts as keys, or as a list of pairs if two keys have the same text."""
+    if is_object(items):
+        return _as_object(items)
     keys = map(in_json_types, items)
     texts = [key if type(key) is str else json.dumps(key) for key in keys]
     if len(set(texts)) < len(texts):
@@ -280,7 +324,11 @@ def _mapping(items: Mapping[Any, Any]) -> Any:
     return _with_attributes(Fields(zip(texts, items.values(), strict=True)), items)
 
 
-content.register(Set, lambda items: _with_attributes(sorted(map(in_json_types, items), key=_order), items))
+@content.register
+def _set(items: Set) -> Any:  # type: ignore[type-arg]
+    if is_object(items):
+        return _as_object(items)
+    return _with_attributes(sorted(map(in_json_types, items), key=_order), items)
 
 
 def _order(value: Any) -> tuple[Any, ...]:
@@ -319,6 +367,6 @@ def _array(array: np.ndarray) -> Any:
         return None
     if type(array) is not np.ndarray and (parts := quantity_of(array)) is not None:
         return parts
-    if array.ndim == 0:
+    if array.ndim == 0 and not public_attributes(array):
         return array[()]
-    return array.tolist() if array.dtype.kind in "biufcSUO" else list(np.asarray(array))
+    return _with_attributes(array.tolist() if array.dtype.kind in "biufcSUO" else list(np.asarray(array)), array)

@@ -8,11 +8,12 @@
     0  None
 
 The size of a collection is the sum of the sizes of its items, that of a dict the sum of the sizes of its keys and
-values, and that of an object the sum of the sizes of its fields or attributes, whose names are not sent. A number in an
-array of numpy or a series takes 8 bytes whatever its type, and one in an `array.array` as many as its type has. An
-enumeration has the size of its value, and a quantity that of its value without its unit. A record inside a body, for
-instance a forwarded one, includes its own header. An object without known content, such as a function, has no size, so
-its sender has to give one. A module, which some objects hold, counts 0.
+values, and that of an object the sum of the sizes of its fields or attributes, whose names are not sent. The public
+attributes of an object of a derived class count beside its items or its value. A number in an array of numpy or a
+series takes 8 bytes whatever its type, and one in an `array.array` as many as its type has. An enumeration has the size
+of its value, and a quantity that of its value without its unit. A record inside a body, for instance a forwarded one,
+includes its own header. An object without known content, such as a function, has no size, so its sender has to give
+one. A module, which some objects hold, counts 0.
 
 For example, a message takes 24 bytes if its body is an action (one number), 32 if it is an action and a capture time,
 and 48 if it is an action, a position (two numbers) and a speed.
@@ -23,6 +24,7 @@ import datetime
 import functools
 import types
 import uuid
+from collections import deque
 from collections.abc import Mapping, Set
 from decimal import Decimal
 from enum import Enum
@@ -33,11 +35,13 @@ import numpy as np
 
 from desim.config.python_numbers import whole
 from desim.kernel.core.body_content import (
+    WRAPPERS,
     Fields,
     attributes_of,
     content,
     content_fields,
     is_missing,
+    is_object,
     is_opaque,
     public_attributes,
     quantity_of,
@@ -95,9 +99,9 @@ def _size(body: Any) -> int:
         total = 0
         for item in body:  # in three quarters of the time of `portable_sum`
             total += NUMBER if type(item) in SCALARS else _size(item)
-        has_attributes = kind.__dictoffset__ != 0
-        return total + _size_of_attributes(body) if has_attributes else total
-    return 0 if body is None else size(body)
+    else:
+        total = 0 if body is None else size(body)
+    return total + _size_of_attributes(body) if kind.__dictoffset__ else total
 
 
 def _size_of_attributes(items: Any) -> int:
@@ -111,14 +115,17 @@ def size(body: Any) -> int:
     Raises:
         ValueError: if the object has no size.
     """
-    kind: Any = type(body)
     if is_missing(body):
         return NUMBER
     if (quantity := quantity_of(body)) is not None:
         return _size(quantity["value"])
     plain = content(body)
-    if type(plain) is not Fields:
-        return _size(plain)
+    return _size_of_parts(body) if type(plain) is Fields else _size(plain)
+
+
+def _size_of_parts(body: Any) -> int:
+    """Return the size of an object whose content is its fields or its attributes."""
+    kind: Any = type(body)
     fields = content_fields(body)
     parts = attributes_of(body) if fields is None else fields
     if fields is None and (not parts or is_opaque(kind)):
@@ -152,13 +159,21 @@ size.register(memoryview, lambda octets: octets.nbytes)
 size.register(array.array, lambda items: len(items) * items.itemsize)
 size.register(range, lambda numbers: NUMBER * len(numbers))
 size.register(Enum, lambda member: _size(member.value))
-size.register(Set, lambda items: portable_sum(map(_size, items)))
+size.register(deque, lambda items: portable_sum(map(_size, items)))
+for _wrapper in WRAPPERS:
+    size.register(_wrapper, lambda wrapper: _size(wrapper.data))
 
 
 @size.register
 def _pairs(items: Mapping) -> int:  # type: ignore[type-arg]
-    total = portable_sum(_size(key) + _size(value) for key, value in items.items())
-    return total if type(items) is dict else total + _size_of_attributes(items)
+    if is_object(items):
+        return _size_of_parts(items)
+    return portable_sum(_size(key) + _size(value) for key, value in items.items())
+
+
+@size.register
+def _set(items: Set) -> int:  # type: ignore[type-arg]
+    return _size_of_parts(items) if is_object(items) else portable_sum(map(_size, items))
 
 
 @size.register

@@ -303,8 +303,11 @@ def _integer(number: int) -> str:
 
 @cache
 def _keys_json(kind: type) -> tuple[str, ...] | None:
-    """Return the keys of the JSON objects of a type of named tuples, each with its colon; None for any other type."""
-    names = field_names(kind)
+    """Return the keys of the JSON objects of a type of named tuples, each with its colon; None for any other type.
+
+    None also for a type whose objects may have attributes beside their fields.
+    """
+    names = None if kind.__dictoffset__ else field_names(kind)
     return names and tuple(f"{_json(name)}: " for name in names)
 
 
