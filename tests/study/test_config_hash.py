@@ -11,6 +11,7 @@ import threading
 from collections import Counter, OrderedDict, deque
 from collections.abc import Sized
 from dataclasses import dataclass
+from decimal import Decimal
 from enum import Enum
 from functools import cached_property, lru_cache, partial, partialmethod, reduce
 from importlib import import_module, invalidate_caches, reload
@@ -30,15 +31,15 @@ from desim.config.model import Value
 from desim.config.own_modules import find_own_modules, module_beside
 from desim.config.shared_state import StateWarning
 from desim.study.plan import user_code
-from desim.study.plan.assigned_values import assigned_values
-from desim.study.plan.config_hash import StablePickler, object_hash
+from desim.study.plan.assigned_values import values_beside_source
+from desim.study.plan.config_hash import StablePickler, code_with_values, object_hash
 from desim.study.plan.user_code import UserCode
 
 
 def stable_hash(value):
-    """Return the hash of an object and of the sources that it comes from."""
+    """Return the hash of an object, and of the sources that it comes from with the values that they do not tell."""
     user = UserCode()
-    return StablePickler(user).digest(value), tuple(sorted(user.code.items()))
+    return StablePickler(user).digest(value), tuple(sorted(code_with_values(user).items()))
 
 
 class Plain:
@@ -520,10 +521,14 @@ SEEN = []
 CACHE = {"a": {}}
 TWICE = 1
 TWICE = 2
+HOOK = None
+DRAWN = {}
+COUNT = 0
 COMPUTED = len("abc")
 
 class Setting:
     step = 0.1
+    hook = None
     calls = 0
 
 class Level(Enum):
@@ -548,6 +553,11 @@ ASSIGNED = {
     "ARRAY": lambda module: setattr(module, "ARRAY", np.array([1.0, 3.0])),
     "SET": lambda module: setattr(module, "SET", {1, 3}),
     "step": lambda module: setattr(module.Setting, "step", 0.2),
+    "function": lambda module: setattr(module, "HOOK", lambda gain: gain),
+    "another function": lambda module: setattr(module, "HOOK", module.rule),
+    "number": lambda module: setattr(module, "GAIN", Decimal("1.0")),
+    "what has no stable hash": lambda module: setattr(module, "HOOK", (yield_ for yield_ in ())),
+    "function of a class": lambda module: setattr(module.Setting, "hook", lambda gain: gain),
 }
 
 
@@ -555,7 +565,10 @@ ASSIGNED = {
 def with_constants(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "constants.py").write_text(f"from dataclasses import dataclass\nfrom enum import Enum\n{CONSTANTS}")
-    (tmp_path / "reading.py").write_text("import constants\n\ndef rule(me):\n    yield me.sleep(constants.GAIN)\n")
+    (tmp_path / "reading.py").write_text(
+        "import constants\n\ndef rule(me):\n    constants.DRAWN[me.id] = 1\n    constants.COUNT += 1\n"
+        "    yield me.sleep(constants.GAIN)\n"
+    )
     invalidate_caches()
     yield import_module("reading")
     for name in ("constants", "reading"):
@@ -569,18 +582,38 @@ def test_a_constant_of_a_module_counts_with_the_value_that_a_program_has_assigne
     found = [stable_hash(rule) for rule in rules]
     assign(constants)
     assert all(stable_hash(rule) != before for rule, before in zip(rules, found, strict=True))
-    assert assigned_values(constants, b"") == {}
+    assert values_beside_source(constants, b"", frozenset()) == {}
 
 
 def test_an_equal_constant_and_what_a_module_changes_itself_do_not_count(with_constants):
+    """Enumerations and slots have other values than their sources say; another module changes a dict and a counter."""
     constants = with_constants.constants
-    found = stable_hash(constants.rule)
-    for _ in constants.rule(Mock()):
-        pass
+    found = [stable_hash(rule) for rule in (constants.rule, with_constants.rule)]
+    assert not any(", " in code for code in dict(stable_hash(with_constants.rule)[1]).values())
+    for rule in (constants.rule, with_constants.rule):
+        for _ in rule(Mock()):
+            pass
     constants.GAIN, constants.ARRAY, constants.TABLE = np.float64(1.0), (1, 2), {"a": [1, 2]}
     constants.COMPUTED, constants.new = 4, 5
-    assert constants.LATER == constants.Setting.calls == len(constants.SEEN) == 1
-    assert stable_hash(constants.rule) == found
+    assert (
+        constants.LATER
+        == constants.Setting.calls
+        == len(constants.SEEN)
+        == constants.COUNT
+        == len(constants.DRAWN)
+        == 1
+    )
+    assert stable_hash(with_constants.rule) == found[1]
+
+
+def test_the_code_of_a_module_is_told_with_the_values_of_its_variables(with_constants):
+    """A short value is shown, so that the error of a store says what differs."""
+    constants = with_constants.constants
+    ((_, code),) = stable_hash(constants.rule)[1]
+    constants.GAIN, constants.TABLE = np.float64(2.0), {"a": ["b" * 50]}
+    assert re.fullmatch(
+        f"{code}, GAIN = 2.0, TABLE = [0-9a-f]{{16}}", dict(stable_hash(constants.rule)[1])["constants"]
+    )
 
 
 READS = {
@@ -593,6 +626,9 @@ READS = {
     "pickle": "WEIGHTS = pickle.loads(Path('w.pkl').read_bytes())",
     "frame": "WEIGHTS = pd.read_csv('w.csv')",
     "a branch": "if True:\n    WEIGHTS = np.load('w.npy')",
+    "a function": "def weights():\n    return np.load('w.npy')\n\nWEIGHTS = weights()",
+    "a word": "from lists import load_weights\nWEIGHTS = load_weights()",
+    "a class": "class Net:\n    WEIGHTS = np.load('w.npy')",
 }
 
 
@@ -605,6 +641,7 @@ def test_what_a_module_reads_from_a_file_as_it_is_imported_counts(tmp_path, monk
     monkeypatch.chdir(tmp_path)
     imports = "import csv, json, pickle\nfrom pathlib import Path\nimport numpy as np\nimport pandas as pd\n"
     (tmp_path / "reads.py").write_text(f"{imports}{code}\n\ndef rule(me):\n    return WEIGHTS\n")
+    (tmp_path / "lists.py").write_text("import numpy as np\n\ndef load_weights():\n    return np.load('w.npy')\n")
     found = []
     for weights in ([1.0, 2.0], [1.0, 2.0], [1.0, 3.0]):
         np.save(tmp_path / "w.npy", weights)
@@ -613,7 +650,8 @@ def test_what_a_module_reads_from_a_file_as_it_is_imported_counts(tmp_path, monk
         pd.DataFrame({"w": weights}).to_csv(tmp_path / "w.csv")
         invalidate_caches()
         found.append(object_hash(import_module("reads").rule))
-        sys.modules.pop("reads")
+        for name in ("reads", "lists"):
+            sys.modules.pop(name, None)
     assert found[0] == found[1] != found[2]
 
 

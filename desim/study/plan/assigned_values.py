@@ -1,16 +1,20 @@
 """Values of the variables of a user's module that do not follow from its source.
 
-Of one kind are constants that a program has replaced since the import, as in `my_rules.GAIN = 2.0`.
-The source of the module does not tell them, so they are a part of the hash of its code. A constant is a variable of
-the module, or an attribute of a class in it, that the source sets once, to a literal. What code of the module itself
-changes is no constant: it is the state of a run, of which `desim.config.shared_state` warns.
+Of one kind are constants that a program has replaced since the import, as in `my_rules.GAIN = 2.0`. A constant is a
+variable of the module, or an attribute of a class in it, that the source sets once, to a literal. What code of the
+module itself changes is no constant, and neither is a collection or a counter that code of another module of the run
+changes: it is the state of a run, of which `desim.config.shared_state` warns.
 
-Of the other kind is what a module reads from a file at its import, as in `WEIGHTS = np.load("weights.npy")`.
+Of the other kind is what a module or a class in it reads from a file at its import, as in
+`WEIGHTS = np.load("weights.npy")`. A call reads a file if a word of its name says so, or if it calls a function of the
+module that does, as in `WEIGHTS = _weights()`.
 """
 
 import ast
+import re
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Set
+from enum import Enum
 from functools import cache
 from types import ModuleType
 from typing import Any
@@ -23,44 +27,77 @@ PLAIN = (int, float, bool, str, bytes, complex, type(None))
 """The types of plain values without parts."""
 CHANGING = ADDING | {"pop", "popitem", "clear", "setdefault", "insert", "remove", "discard", "sort", "reverse"}
 """The methods that change a collection."""
+WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
+"""A word in a name, as in `load_weights` or `DictReader`."""
 READING = {
-    *("open", "load", "loads", "loadtxt", "genfromtxt", "fromfile", "loadmat", "read_text", "read_bytes", "DictReader"),
-    *("read_csv", "read_parquet", "read_json", "read_excel", "read_table", "read_pickle", "read_graphml", "reader"),
+    *("read", "reads", "reader", "load", "loads", "open", "fromfile", "genfromtxt", "loadtxt", "loadmat", "memmap"),
+    *("imread", "mmread"),
 }
-"""The names of functions that read files. What `open_data` opens is hashed already."""
+"""The words in names of functions that read files. What `open_data` opens is hashed already."""
 
 
-def assigned_values(module: ModuleType, source: bytes) -> dict[str, str]:
-    """Return the present values of constants that differ from the source of a module, by name, as texts."""
-    values = {}
-    for name, literal in _constants(source).items():
+def values_beside_source(module: ModuleType, source: bytes, state: Set[str]) -> dict[str, Any]:
+    """Return the present values of the variables of a module that do not follow from its source, by name.
+
+    They are the constants whose values differ from those in the source, and what the module has read from files.
+    "Class.name" is an attribute of a class.
+
+    Args:
+        module: the module.
+        source: its source.
+        state: the names of variables that other modules of the run change, see `changed_in_place`.
+    """
+    constants = _constants(source)
+    assigned = {
+        name: value
+        for name, value in _present(module, constants)
+        if _may_differ(value, name) and _text(value) != constants[name]
+    }
+    values = assigned | dict(_present(module, _names_from_files(source)))
+    return {name: value for name, value in values.items() if _last_part(name) not in state}
+
+
+def _present(module: ModuleType, names: Iterable[str]) -> Iterator[tuple[str, Any]]:
+    """Yield the name and the value of each variable that the module has."""
+    for name in names:
         owner, _, attribute = name.rpartition(".")
         holder = vars(module).get(owner) if owner else module
         if isinstance(holder, type | ModuleType) and attribute in vars(holder):
-            text = _text(vars(holder)[attribute])
-            if text is not None and text != literal:
-                values[name] = text
-    return values
+            yield name, vars(holder)[attribute]
 
 
-def values_from_files(module: ModuleType, source: bytes) -> dict[str, Any]:
-    """Return the present values of the variables that a module has read from files at its import, by name."""
-    return {name: vars(module)[name] for name in _names_from_files(source) if name in vars(module)}
+def _may_differ(value: Any, name: str) -> bool:
+    """Return whether a value may have been assigned; Python itself makes others of some literals in a class."""
+    return "." not in name or not (isinstance(value, Enum) or hasattr(value, "__set__"))
 
 
 @cache
 def _names_from_files(source: bytes) -> tuple[str, ...]:
+    """Return the names of the variables that a module reads from files at its import, sorted."""
     tree = ast.parse(source)
-    names = set[str]()
-    for statement in tree.body:
-        if isinstance(statement, ast.Assign | ast.AnnAssign | ast.With | ast.For | ast.Try | ast.If):
-            parts = list(ast.walk(statement))
-            called = {_last_name(part.func) for part in parts if isinstance(part, ast.Call)}
-            if called & READING and "open_data" not in called:
-                names.update(
-                    part.id for part in parts if isinstance(part, ast.Name) and isinstance(part.ctx, ast.Store)
-                )
-    return tuple(sorted(names - set(_changed(tree))))
+    functions = [node for node in tree.body if isinstance(node, ast.FunctionDef)]
+    reading = {function.name for function in functions if _reads(function, set())}
+    names = {*_names_read(tree.body, reading)}
+    for node in tree.body:
+        if isinstance(node, ast.ClassDef):
+            names.update(f"{node.name}.{name}" for name in _names_read(node.body, reading))
+    changed = set(_changed(tree))
+    return tuple(sorted(name for name in names if _last_part(name) not in changed))
+
+
+def _names_read(body: list[ast.stmt], reading: Set[str]) -> Iterator[str]:
+    """Yield the names that those of some statements set that read files, themselves or by functions of the module."""
+    kinds = (ast.Assign, ast.AnnAssign, ast.With, ast.For, ast.Try, ast.If)
+    for statement in (statement for statement in body if isinstance(statement, kinds) and _reads(statement, reading)):
+        parts = ast.walk(statement)
+        yield from (part.id for part in parts if isinstance(part, ast.Name) and isinstance(part.ctx, ast.Store))
+
+
+def _reads(node: ast.AST, reading: Set[str]) -> bool:
+    """Return whether code calls a function that reads a file, by the words in its name or if it is one of `reading`."""
+    called = {_last_name(part.func) for part in ast.walk(node) if isinstance(part, ast.Call)}
+    words = {word.lower() for name in called for word in WORD.findall(name)}
+    return "open_data" not in called and not (words.isdisjoint(READING) and called.isdisjoint(reading))
 
 
 @cache
@@ -72,7 +109,7 @@ def _constants(source: bytes) -> Mapping[str, str]:
     for node in tree.body:
         if isinstance(node, ast.ClassDef):
             constants |= {f"{node.name}.{name}": text for name, text in _literals(node.body)}
-    return {name: text for name, text in constants.items() if name.rpartition(".")[2] not in changed}
+    return {name: text for name, text in constants.items() if _last_part(name) not in changed}
 
 
 def _literals(body: list[ast.stmt]) -> Iterator[tuple[str, str]]:
@@ -99,13 +136,35 @@ def _literals(body: list[ast.stmt]) -> Iterator[tuple[str, str]]:
 
 def _changed(tree: ast.Module) -> Iterator[str]:
     """Yield the names of variables and attributes that code of a module may change while it runs."""
+    yield from _changed_in_place(tree)
     for node in ast.walk(tree):
         if isinstance(node, ast.Global):
             yield from node.names
-        elif isinstance(node, ast.Attribute | ast.Subscript) and not isinstance(node.ctx, ast.Load):
-            yield node.attr if isinstance(node, ast.Attribute) else _last_name(node.value)
+        elif isinstance(node, ast.Attribute) and not isinstance(node.ctx, ast.Load):
+            yield node.attr
+
+
+@cache
+def changed_in_place(source: bytes) -> frozenset[str]:
+    """Return the names of the collections and counters that code of a module may change, also those of other modules.
+
+    What it assigns in other modules does not count: it may be a program that sets their constants.
+    """
+    return frozenset(_changed_in_place(ast.parse(source)))
+
+
+def _changed_in_place(tree: ast.Module) -> Iterator[str]:
+    for node in ast.walk(tree):
+        if isinstance(node, ast.AugAssign):
+            yield _last_name(node.target)
+        elif isinstance(node, ast.Subscript):
+            yield from [] if isinstance(node.ctx, ast.Load) else [_last_name(node.value)]
         elif isinstance(node, ast.Attribute) and node.attr in CHANGING:
             yield _last_name(node.value)
+
+
+def _last_part(name: str) -> str:
+    return name.rpartition(".")[2]
 
 
 def _last_name(node: ast.expr) -> str:

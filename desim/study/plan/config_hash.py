@@ -20,11 +20,10 @@ The globals of a module and the attributes of its functions and classes count th
 import json
 import sys
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import suppress
 from dis import get_instructions
 from functools import cache, cached_property
 from io import BytesIO
-from operator import attrgetter, itemgetter
+from operator import attrgetter
 from pathlib import Path
 from types import CodeType, FunctionType, MappingProxyType, ModuleType, NoneType
 from typing import Any, NamedTuple
@@ -43,6 +42,7 @@ from desim.config.shared_state import StateWarning
 from desim.config.traits import OURS
 from desim.scenario.overrides import ScenarioError
 from desim.scenario.scenario import Scenario
+from desim.study.plan.assigned_values import PLAIN
 from desim.study.plan.user_code import HASHED_BY_NAME, UserCode, names_in_texts, package_of
 
 UNSWEPT = MappingProxyType(
@@ -71,6 +71,8 @@ GENERATED = {
 """The attributes that Python, dataclasses and pydantic add to a class, without methods and `__pydantic_*`."""
 ANNOTATORS = {"__annotate__", "__annotate_func__"}
 """The methods with which Python 3.14 evaluates the annotations of a class."""
+MAX_TEXT = 40
+"""The length up to which the text of a value is not hashed."""
 ADVICE = "store plain values instead, or leave it out in the __getstate__ of the class that holds it"
 
 
@@ -103,21 +105,43 @@ def identify(scenario: Scenario) -> Identity:
         except Exception as error:  # code of the object may raise anything
             raise ScenarioError(Problem(f"has no stable hash: {error}; {ADVICE}", key)) from error
     _warn_of_edited(pickler.user)
-    read = _read_from_files(pickler.user)
+    code = code_with_values(pickler.user)
     files = [file for _, file in sorted((Path(path).name, content) for path, content in pickler.user.files.items())]
-    content = [tables(scenario), pickler.digest(), pickler.user.code, files, *read]
-    sources = {f"the code of {name}": code for name, code in pickler.user.code.items()}
+    content = [tables(scenario), pickler.digest(), code, files]
+    sources = {f"the code of {name}": text for name, text in code.items()}
     sources |= {f"the content of {path}": content for path, content in pickler.user.files.items()}
     return Identity(content_hash(json.dumps(content, sort_keys=True).encode()), sources)
 
 
-def _read_from_files(user: UserCode) -> list[tuple[str, str]]:
-    """Return what modules have read from files at their import: its name, and a hash of it if it has a stable one."""
-    hashes = []
-    for name, value in sorted(user.read.items(), key=itemgetter(0)):
-        with suppress(Exception):  # such as an open file
-            hashes.append((name, StablePickler(UserCode()).digest(value)))
-    return hashes
+def code_with_values(user: UserCode) -> dict[str, str]:
+    """Return the hash of the code of each module, and the values of its variables that do not follow from the code.
+
+    An example is "985ccc9e980c32ba, GAIN = 2.0". Values that are no short plain data are hashed, too, and functions
+    among them may add modules.
+    """
+    texts: dict[tuple[str, str], str] = {}
+    looked_up = 0
+    while looked_up < len(user.code):
+        looked_up = len(user.code)
+        for key, values in user.values().items():
+            for name, value in values.items():
+                if (key, name) not in texts:
+                    texts[key, name] = _text_of_value(value, user)
+    code = dict(user.code)
+    for (key, name), text in sorted(texts.items()):
+        code[key] += f", {name} = {text}"
+    return code
+
+
+def _text_of_value(value: Any, user: UserCode) -> str:
+    """Return the value itself if it is short, a hash of it, or its type if it has no stable hash, as an open file."""
+    value = value.item() if isinstance(value, np.generic) else value
+    if type(value) in PLAIN and len(repr(value)) <= MAX_TEXT:
+        return repr(value)
+    try:
+        return StablePickler(user).digest(value)
+    except Exception:  # code of the object may raise anything
+        return f"{type(value).__module__}.{type(value).__qualname__}"
 
 
 def _warn_of_edited(user: UserCode) -> None:
@@ -139,8 +163,7 @@ def object_hash(value: Any) -> str:
     pickler = StablePickler(UserCode())
     digest = pickler.digest(value)
     _warn_of_edited(pickler.user)
-    content = [digest, pickler.user.code, sorted(pickler.user.files.values())]
-    content += _read_from_files(pickler.user)
+    content = [digest, code_with_values(pickler.user), sorted(pickler.user.files.values())]
     return content_hash(json.dumps(content, sort_keys=True).encode())
 
 

@@ -22,7 +22,7 @@ from desim.config.data_files import content_hash, opened_by
 from desim.config.own_modules import OwnLoader, folder_in_name, importing_call, module_beside, plain_name
 from desim.config.traits import OURS
 from desim.results.environment import NUMERICS
-from desim.study.plan.assigned_values import assigned_values, values_from_files
+from desim.study.plan.assigned_values import changed_in_place, values_beside_source
 
 HASHED_BY_NAME = {*OURS, *NUMERICS, "cloudpickle", *sys.stdlib_module_names}
 """The packages whose classes and functions are hashed by name only."""
@@ -39,16 +39,16 @@ class UserCode:
         code: the hash of the source of each user module, the version of each installed package, and what a caller adds,
             by name.
         files: the hash of the content of each data file, by path.
-        read: what the modules have read from files at their import, by module and name.
         edited: the file of each module that was edited after its import, by name.
     """
 
     def __init__(self) -> None:
         self.code: dict[str, str] = {}
         self.files: dict[str, str] = {}
-        self.read: dict[str, Any] = {}
         self.edited: dict[str, Path] = {}
         self._modules: set[str] = set()
+        self._sources: dict[str, tuple[str, bytes]] = {}
+        """The name and the source of each module that is imported, by the key of its hash."""
 
     def add(self, name: str) -> bool:
         """Add a module; return whether it has a source, or belongs to a package in `HASHED_BY_NAME`."""
@@ -68,14 +68,11 @@ class UserCode:
         key = plain_name(name)
         while key in self.code:  # another module of this name lies beside another scenario file
             key += "'"
-        module = sys.modules.get(name)
-        assigned = {}
-        if module is not None and file.suffix == ".py":
-            assigned = assigned_values(module, source)
-            self.read |= {f"{key}.{name}": value for name, value in values_from_files(module, source).items()}
-        self.code[key] = content_hash(imported.content + (repr(assigned).encode() if assigned else b""))
+        self.code[key] = content_hash(imported.content)
         parent, folder = name.rpartition(".")[0], folder_in_name(name)
         if file.suffix == ".py":
+            if name in sys.modules:
+                self._sources[key] = name, source
             # To import a module is to run its parent package, too.
             names = sorted(_imported(source, name if file.stem == "__init__" else parent) | ({parent} - {""}))
             self.add_imported(names if folder is None else [module_beside(module, folder) for module in names])
@@ -95,6 +92,13 @@ class UserCode:
                 self.add(module)
             elif package not in HASHED_BY_NAME:
                 self.code |= _versions(_distributions().get(package, ()))
+
+    def values(self) -> dict[str, dict[str, Any]]:
+        """Return the values of variables that do not follow from the source of their module, by module and name."""
+        state = frozenset[str]().union(*(changed_in_place(source) for _, source in self._sources.values()))
+        return {
+            key: values_beside_source(sys.modules[name], source, state) for key, (name, source) in self._sources.items()
+        }
 
 
 class Imported(NamedTuple):
