@@ -188,6 +188,8 @@ class _Renaming(ast.NodeTransformer):
 
     def _own_name(self, name: ast.expr) -> ast.expr:
         """Return an expression that computes the own name of a module; it also works in another process."""
+        if isinstance(name, ast.Starred):  # any number of names: they are looked up as they are
+            return name
         code = f"__import__({__name__!r}, fromlist=['']).computed_name_beside(0, {str(self._folder)!r})"
         call: Any = ast.parse(code, mode="eval").body
         call.args[0] = name

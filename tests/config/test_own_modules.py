@@ -14,7 +14,7 @@ import pytest
 
 from desim import load, run, summary, sweep
 from desim.config.choice import OneOf
-from desim.config.own_modules import _Finder, folder_in_name, module_beside, plain_name
+from desim.config.own_modules import _Finder, find_own_modules, folder_in_name, module_beside, plain_name
 from desim.kernel.core.trace_file import line_of
 from desim.results import provenance
 from desim.scenario.overrides import ScenarioError
@@ -239,6 +239,14 @@ BY_TEXT = {
     "a relative name": "import_module('.names', package='shapes')",
     "a specification": "[import_module(find_spec('helper').name)][0]",
 }
+
+
+def test_names_that_are_unpacked_are_imported_as_they_are(tmp_path):
+    (tmp_path / "unpacks.py").write_text(
+        "from importlib import import_module\nmodule = import_module(*('.tool', 'json'))\n"
+    )
+    find_own_modules()
+    assert importlib.import_module(module_beside("unpacks", tmp_path)).module.__name__ == "json.tool"
 
 
 @pytest.mark.slow_but_one
