@@ -38,14 +38,18 @@ class RestartableProcess(simpy.Process):
         Raises:
             Exception: any exception of the behaviour, with the notes of one that it raises during the run.
         """
-        behaviour = self.behaviour
-        if behaviour is None:
-            return
         try:
-            behaviour.close()
+            self._close_behaviour()
+        except RuntimeError:
+            if getattr(self.behaviour, "gi_frame", None) is None:
+                raise
+
+    def _close_behaviour(self) -> None:
+        end = getattr(self.behaviour, "close", None)  # an iterator of a user needs none
+        try:
+            if end is not None:
+                end()
         except (Exception, SystemExit) as error:
-            if isinstance(error, RuntimeError) and getattr(behaviour, "gi_frame", None) is not None:
-                return
             _add_notes(error, self._agent.id, self._agent)
             raise
 
@@ -71,11 +75,7 @@ class RestartableProcess(simpy.Process):
                     if missed is None and awaited.processed:
                         missed = awaited
                 elif self.behaviour is not None:
-                    try:
-                        self.behaviour.close()  # runs its `finally`
-                    except (Exception, SystemExit) as error:
-                        _add_notes(error, pursuer, agent)
-                        raise
+                    self._close_behaviour()  # runs its `finally`
                     self.behaviour = missed = None
                 if self.behaviour is None or awaited.processed:
                     awaited = agent.at(agent.now, phase)  # resume in its phase, after the arrivals of this instant

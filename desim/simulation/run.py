@@ -1,6 +1,8 @@
 """A run: the wiring of clock, world, network and agents, as a function of a scenario and a seed."""
 
 from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
@@ -187,7 +189,7 @@ def _simulate(
         return [*([] if transported is None else [transported]), network.message_counts()]
 
     begins(Simulation(agents, state, trace, counts, end.stop))
-    with team.closing():
+    with _without_exits(), team.closing():
         try:
             team.begin()
             world.begin()
@@ -212,6 +214,13 @@ def _run_to_end(env: Clock, end: RunEnd, team: TeamProcesses) -> None:
     except KeyboardInterrupt as error:
         error.add_note(interrupted_at(env, error))
         raise
+
+
+@contextmanager
+def _without_exits() -> Iterator[None]:
+    """Raise RuntimeError in place of SystemExit, which would look like success."""
+    try:
+        yield
     except SystemExit as error:
         notes = getattr(error, "__notes__", [])  # a `RestartableProcess` adds them to errors of its behaviour
         who = "the protocol" if notes else "code of the scenario"

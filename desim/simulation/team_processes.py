@@ -2,7 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from itertools import chain
 from typing import TYPE_CHECKING, Protocol
 
@@ -95,17 +95,23 @@ class TeamProcesses:
         """Close all processes at the end of the block, in the order of the pursuers.
 
         What protocols do in `finally`, or at the end of a `with` block, then belongs to this run. Otherwise Python
-        would do it whenever it frees the generators, perhaps during another run.
+        would do it whenever it frees the generators, perhaps during another run. The first of several errors counts.
         """
+        first_error: BaseException | None = None
         try:
             yield
-        except BaseException:
-            for process in chain.from_iterable(self.processes.values()):
-                with suppress(Exception):  # the first error counts
-                    process.close()
-            raise
+        except BaseException as error:
+            first_error = error
         for process in chain.from_iterable(self.processes.values()):
-            process.close()
+            try:
+                process.close()
+            except (Exception, SystemExit) as error:
+                first_error = first_error or error
+        try:
+            if first_error is not None:
+                raise first_error
+        finally:
+            del first_error  # its traceback refers to this frame
 
     def _start_delay(self, agent: Agent) -> float:
         """Return the time, s, after which a pursuer announces its first action.

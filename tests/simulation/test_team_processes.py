@@ -1,6 +1,7 @@
 """The ends of the processes of a run: what they do in `finally` belongs to the run."""
 
 import gc
+import sys
 
 import pytest
 
@@ -115,6 +116,47 @@ def test_an_error_in_finally_ends_the_run_and_the_first_error_counts():
     with pytest.raises(ValueError, match="7") as caught:
         run(brief(lambda me: protocol(me) if me.id == 0 else iter([])), 1)
     assert caught.value.__notes__ == ["(pursuer 0, at 0.3 s of its clock)"]
+
+
+def test_all_processes_are_closed_whatever_one_raises_and_exit_is_an_error():
+    ended = []
+
+    def protocol(me):
+        try:
+            yield me.sleep(0.1 if me.id == fails else 1.0)
+            raise KeyError(me.id)
+        finally:
+            ended.append(me.id)
+            sys.exit(0)
+
+    fails = None
+    with pytest.raises(RuntimeError, match=r"^the protocol called exit\(0\) \(pursuer 0, at 0.3 s of its clock\)$"):
+        run(brief(protocol), 1)
+    fails = 1
+    with pytest.raises(RuntimeError, match=r"^the protocol called exit\(0\) \(pursuer 1, at 0.1 s of its clock\)$"):
+        run(brief(protocol), 1)
+    assert ended == [0, 1, 2, 1, 0, 2]
+
+
+class Sleeping:
+    """An iterator that has no `close`."""
+
+    def __init__(self, me):
+        self.me = me
+
+    def __iter__(self):
+        return self
+
+    def __next__(self):
+        return self.send(None)
+
+    def send(self, value):
+        return self.me.sleep(0.1)
+
+
+def test_an_iterator_without_close_needs_none():
+    crash = Crash(node=1, start=0.1, end=0.2, memory=False)
+    assert run(brief(lambda me: Sleeping(me), fault=(crash,)), 1).trace.events
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
