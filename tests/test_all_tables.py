@@ -64,11 +64,12 @@ def thresholds():
     """Return thresholds of all kinds of sentences."""
     base = Threshold(
         "active_time", LATENCY, 0.1, 0.05, 0.1, True, 0.075, 0.125, (0.1,), 7, (0.05, 0.4),
-        ((-0.05, 0.05), (0.2, 0.4)), (0.0, 0.3), 0.9,
+        ((-0.05, 0.05), (0.2, 0.4)), (0.0, 0.3), 0.9, ((0.075, 0.125),),
     )  # fmt: skip
-    none = {"at": None, "low": nan, "high": nan, "crossings": ()}
+    none = {"at": None, "low": nan, "high": nan, "crossings": (), "undecided": ()}
     kinds = [
         {},
+        {"undecided": ((0.075, 0.125), (0.2, 0.3))},
         {"over": -0.255, "low": -inf, "high": inf, "is_beyond": False, "key": "protocol.slot", "baseline": "x"},
         {"is_beyond": None},
         none | {"is_beyond": None, "relative": ((-inf, inf), (-inf, inf))},

@@ -68,7 +68,7 @@ class Threshold:
     relative_means: tuple[float, float]
     """The relative differences of the means at these two ends."""
     confidence: float
-    undecided: tuple[CrossoverInterval, ...] = ()
+    undecided: tuple[CrossoverInterval, ...]
     """The intervals of values of the key at which it is not decided whether the mean exceeds the share, ascending."""
 
     @property
@@ -122,6 +122,7 @@ class Threshold:
             "interval": None if self.at is None else [json_number(self.low), json_number(self.high)],
             "confidence": self.confidence,
             "crossings": list(self.crossings),
+            "undecided": [list(ends) for ends in self.undecided],
             "pairs": self.pairs,
             "relative_at_ends": [
                 {"value": value, "mean": mean, "interval": [json_number(end) for end in ends]}
