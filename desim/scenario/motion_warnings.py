@@ -1,7 +1,7 @@
 """Warnings about players that can be simulated and are probably not meant: their motion, and what they see."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from math import hypot, sqrt
+from math import floor, hypot, log10, sqrt
 from typing import Any
 
 import numpy as np
@@ -10,13 +10,15 @@ from desim.config.traits import inherits
 from desim.kernel.clock_sync import Unsynchronised
 from desim.kernel.models.clock_skew import ClockSkew
 from desim.pursuit.core.state import complex_points
+from desim.pursuit.evaders.evasion import PureEvasion, Still
 from desim.pursuit.evaders.recorded import DROPS_HEIGHTS
 from desim.pursuit.motion.flow import RecordedFlow
-from desim.pursuit.motion.guidance import PurePursuit
+from desim.pursuit.motion.guidance import ConstantBearing, PurePursuit
 from desim.pursuit.sensing.noise import covariance_of
 from desim.pursuit.sensing.sensing import Sensing
 from desim.pursuit.sensing.tracking import Estimator
 from desim.scenario.link_warnings import late_rows
+from desim.scenario.players import Evader
 from desim.scenario.scenario import Scenario
 from desim.scenario.wall_misfits import reach_warnings
 
@@ -24,6 +26,8 @@ SLOW = 10.0
 """If the second row of a record is later than this many horizons, its times probably have another unit."""
 SHORT = 10.0
 """The horizon, s, below which a scenario probably only tries something out."""
+ROUNDING = 1e-9
+"""Share by which a product of decimals may exceed the number that it should equal."""
 TINY = 0.5
 """The width and height of all walls together, m, below which their coordinates probably have another unit."""
 RARE_TURNS = 10.0
@@ -58,13 +62,7 @@ def motion_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     yield from _place_warnings(scenario)
     yield from _estimates_warnings(scenario)
     yield from _sensing_warnings(scenario)
-    stride = scenario.motion.step * max(fastest, *evader_speeds)
-    if scenario.capture.test == "sample" and stride > 2 * scenario.capture.radius:
-        yield (
-            "motion.step",
-            f"a player may jump across the capture disc between two samples: step x speed = {stride:g} m is more"
-            f" than 2 x radius = {2 * scenario.capture.radius:g} m",
-        )
+    yield from _step_warnings(scenario, fastest)
 
 
 def _all_too_slow(fastest: float, evader_speeds: Sequence[float], pruned: bool) -> str:
@@ -85,6 +83,54 @@ def _all_too_slow(fastest: float, evader_speeds: Sequence[float], pruned: bool) 
         f"no pursuer is faster than {which}: the fastest moves at {fastest} m/s, {they} at {min(quick)} m/s, so every"
         f" capture time{whose} is inf{f' and no pursuer will chase{whom}' if pruned else ''}"
     )
+
+
+def _step_warnings(scenario: Scenario, fastest: float) -> Iterator[tuple[str, str]]:
+    """Yield a warning if pursuers of a greatest speed (m/s) may miss evaders because of the motion step h.
+
+    A pursuer aims at the place of its evader at the start or at the end of a step. If it comes there within the step,
+    it is then at most v_e h from the evader. So with v_e h <= eps it captures the evader within the bound phi, whatever
+    the evader does. With a longer step it may run past the evader, and back, for ever. Of 10 zigzagging evaders of
+    amplitude 1.4, with v = 2 m/s, v_e = .9 m/s and v_e h = 2, 4 and 8 eps, 0, 4 and 7 were never captured, and 4, 10
+    and 10 if all move at once (`motion.order`).
+    """
+    step, radius = scenario.motion.step, scenario.capture.radius
+    if scenario.capture.test == "sample":
+        stride = step * max(fastest, *(evader.speed for evader in scenario.evaders))
+        if stride > 2 * radius:
+            yield (
+                "motion.step",
+                f"a player may jump across the capture disc between two samples: step x speed = {stride:g} m is more"
+                f" than 2 x radius = {2 * radius:g} m",
+            )
+        return
+    dodging = [evader.speed for evader in scenario.evaders if evader.speed < fastest and _may_dodge(evader, scenario)]
+    speed = max(dodging, default=0.0)
+    if step * speed > radius * (1.0 + ROUNDING) and not scenario.motion.static:
+        limit = radius / speed
+        unit = 10.0 ** floor(log10(limit) - 1.0)  # of the second digit
+        yield (
+            "motion.step",
+            "a pursuer aims at one place for a whole step, and may run past an evader for ever that meanwhile moves"
+            f" step x speed = {step * speed:g} m, more than the capture radius of {radius:g} m: a step of at most"
+            f" {floor(limit / unit) * unit:g} s excludes this (or a greater `capture.radius`)",
+        )
+
+
+def _may_dodge(evader: Evader, scenario: Scenario) -> bool:
+    """Return whether an evader may leave, within a motion step, the line on which its pursuer comes.
+
+    In examples, pursuers captured evaders that fled from the nearest of them, whatever the step.
+    """
+    strategy, team = evader.strategy, scenario.team
+    if inherits(strategy, Still):
+        return False
+    if scenario.sensing.is_noisy:
+        return True
+    if inherits(team.guidance, ConstantBearing):
+        return scenario.motion.order == "simultaneous" or team.has_inertia
+    flees = inherits(strategy, PureEvasion) and not evader.reaction_delay
+    return not (flees and inherits(team.guidance, PurePursuit))
 
 
 def _inertia_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:

@@ -88,7 +88,8 @@ class Motion(Value):
     """Motion step h, the time between two headings, s.
 
     The computing time of a run grows with 1/h. With long steps, players react late to each other, and an evader flees
-    in the wrong direction for a whole step.
+    in the wrong direction for a whole step. An evader that moves by more than the capture radius in a step may let
+    pursuers run past it for ever.
 
     If in doubt, use at most a fifth of the time in which the fastest player covers the capture radius.
     """

@@ -112,6 +112,45 @@ def test_a_wind_on_the_pursuers_needs_a_guidance_that_allows_for_it(on, flow, gu
     assert ("team.guidance" in dict(warned(environment=environment, team={"guidance": guidance}))) == is_warned_of
 
 
+@pytest.mark.parametrize("order", ["evader_first", "simultaneous"])
+@pytest.mark.parametrize(
+    ("parts", "is_warned_of"),
+    [
+        ({}, False),
+        ({"evader": {"strategy": "zigzag"}}, True),
+        ({"evader": {"strategy": "zigzag"}, "motion": {"step": 0.1}, "capture": {"radius": 0.09}}, False),
+        ({"evader": {"strategy": "zigzag"}, "motion": {"step": 0.1}, "capture": {"radius": 0.0899}}, True),
+        ({"evader": {"strategy": "zigzag"}, "motion": {"static": True}}, False),
+        ({"evader": {"strategy": "zigzag", "speed": 3.0}}, False),
+        ({"evader": {"strategy": "zigzag", "speed": 0.0}}, False),
+        ({"evader": [{"strategy": "zigzag", "speed": 0.5}, {}]}, False),
+        ({"evader": [{"strategy": "zigzag", "speed": 0.6}, {}]}, True),
+        *(({"evader": {"strategy": kind}}, True) for kind in ("constant_heading", "diffusion", "max_geodesic")),
+        ({"evader": {"strategy": lambda state, rng: 1.0}}, True),
+        ({"evader": {"strategy": "still"}}, False),
+        ({"evader": {"reaction_delay": 0.2}}, True),
+        ({"sensing": {"noise": 0.05, "estimate": "hold"}}, True),
+        ({"team": {"guidance": "constant_bearing"}}, "simultaneous"),
+        ({"team": {"guidance": "constant_bearing"}, "evader": {"strategy": "zigzag"}}, "simultaneous"),
+        ({"team": {"guidance": "constant_bearing", "dynamics": "acceleration"}}, True),
+    ],
+)
+def test_a_pursuer_may_run_past_an_evader_that_moves_by_more_than_the_radius_in_a_step(parts, order, is_warned_of):
+    motion = {"step": 0.2, "order": order} | parts.get("motion", {})
+    found = dict(warned(**parts | {"motion": motion}))
+    assert ("may run past an evader" in found.get("motion.step", "")) == (is_warned_of in {True, order})
+
+
+@pytest.mark.parametrize(("speed", "radius"), [(0.9, 0.1), (0.6, 0.1), (1.1, 0.07)])
+def test_the_step_that_a_warning_proposes_gives_none(speed, radius):
+    parts = {"evader": {"strategy": "zigzag", "speed": speed}, "capture": {"radius": radius}}
+    why = dict(warned(motion={"step": 0.2}, **parts))["motion.step"]
+    assert f"step x speed = {0.2 * speed:g} m, more than the capture radius of {radius:g} m" in why
+    step = float(why.split("at most ")[1].split()[0])
+    assert 0.9 * radius / speed < step
+    assert "motion.step" not in dict(warned(motion={"step": step}, **parts))
+
+
 class Swerve(ConstantHeading):
     """Turns, whatever the class that it derives from does."""
 
