@@ -8,7 +8,8 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any
+from types import UnionType
+from typing import Any, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel, Tag, ValidationError
 from pydantic.fields import FieldInfo
@@ -30,11 +31,9 @@ from desim.config.tables import holds, value_at
 def problems_of_call(error: ValidationError, model: type[BaseModel], values: Mapping[str, Any]) -> tuple[Problem, ...]:
     """Return the problems of a call of a model, given the error of pydantic and the values by key."""
     wording = Wording(values, model, written=repr, is_call=True)
-    return tuple(
-        Problem(reason, ".".join(map(str, place)), model.__name__)
-        for problem in error.errors()
-        for place, reason in wording.problems(problem)
-    )
+    problems = (found for problem in error.errors() for found in wording.problems(problem))
+    once = dict.fromkeys(problems)  # several members of a union may have the same problem
+    return tuple(Problem(reason, ".".join(map(str, place)), model.__name__) for place, reason in once)
 
 
 @dataclass(frozen=True)
@@ -63,6 +62,8 @@ class Wording:
             yield from context["misfits"]
             return
         place, owner, info = self._locate(error)
+        if _is_of_another_member(error, owner, info):
+            return
         if error["type"] == "user_model":
             inner = replace(self, model=context["model"], above=place)
             for detail in context["errors"]:
@@ -95,7 +96,7 @@ class Wording:
             if isinstance(part, str):
                 owner, info = inner, fields_of(inner).get(part) if inner else None
             inner = model_of(info, node) if info else None
-            if info is not None and path and path[0] in _tags(info):
+            if info is not None and path and _is_tag(path, info, node, is_missing=error["type"] == "missing"):
                 path.pop(0)
         if error["type"] in {"union_tag_invalid", "import_refused"}:  # pydantic reports these at the table
             key = str(error.get("ctx", {}).get("discriminator", "kind")).strip("'")
@@ -229,9 +230,45 @@ def model_of(info: FieldInfo, value: Any) -> type[BaseModel] | None:
             value = as_python(value)
         table = one_of.as_table(value) if type(value) in {int, float, str} else value
         return one_of.choice(str(table.get("kind"))) if isinstance(table, dict) else None
-    return next(models_in(info.annotation), None)
+    models = [*models_in(info.annotation)]
+    return next((model for model in models if _has_literals(model, value)), models[0] if models else None)
 
 
-def _tags(info: FieldInfo) -> set[str]:
-    """Return the union tags of a field: pydantic inserts them in the path of an error, after a name or an index."""
-    return {marker.tag for marker in markers_of(info) if isinstance(marker, Tag)}
+def _has_literals(model: type[BaseModel], table: Any) -> bool:
+    """Return whether the keys of a table that select one of several models select this one."""
+    literals = {name: get_args(field.annotation) for name, field in model.model_fields.items() if _is_literal(field)}
+    return isinstance(table, dict) and all(table.get(name, values[0]) in values for name, values in literals.items())
+
+
+def _is_literal(field: FieldInfo) -> bool:
+    return get_origin(field.annotation) is Literal
+
+
+def _is_tag(path: Sequence[str | int], info: FieldInfo, value: Any, *, is_missing: bool) -> bool:
+    """Return whether the first part of the rest of a path stands for a member of a union, and is no key of its value.
+
+    pydantic inserts such parts after a name or an index: the tag, or the name of the type.
+    """
+    part = path[0]
+    if any(isinstance(marker, Tag) and marker.tag == part for marker in markers_of(info)):
+        return True
+    is_key = not isinstance(part, str) or holds(value, part) or (is_missing and len(path) == 1) or part == OF_KEY
+    return not is_key and _has_union(info.annotation)
+
+
+def _is_of_another_member(error: ErrorDetails, owner: type[BaseModel] | None, info: FieldInfo | None) -> bool:
+    """Return whether an error is of a member of a union that the keys of the table, whose model is `owner`, exclude."""
+    if error["type"] == "literal_error" and info is not None and _is_literal(info):
+        return error["input"] in get_args(info.annotation)
+    return error["type"] == "extra_forbidden" and owner is not None and error["loc"][-1] in owner.model_fields
+
+
+OF_KEY = "[key]"
+"""The last part of the path of an error about a key of a dict itself."""
+
+
+def _has_union(annotation: Any) -> bool:
+    """Return whether there is a union in an annotation, other than with None."""
+    inner = [argument for argument in get_args(annotation) if argument is not type(None)]
+    is_union = get_origin(annotation) in {Union, UnionType} and len(inner) > 1
+    return is_union or (get_origin(annotation) is not Literal and any(map(_has_union, inner)))

@@ -453,3 +453,39 @@ def test_the_union_of_a_users_model_is_refused_in_the_words_of_others(value, tol
     assert Way(part={"surface": "track"}).part == Track()
     with pytest.raises(KeyedError, match=f"^Way: {re.escape(told)}$"):
         Way(part=value)
+
+
+class Plain(Value):
+    """Models of a user with unions in all forms, which pydantic tells apart by trying each, or by a key."""
+
+    tried: Road | Track = Road()
+    chosen: Annotated[Road | Track, Field(discriminator="surface")] | None = None
+    several: tuple[Annotated[Road | Track, Field(discriminator="surface")], ...] = ()
+    tried_each: list[Road | Track] = Field(default_factory=list)
+    named: Road | float = 1.0
+
+
+ROAD = {"surface": "road", "lanes": 2}
+
+
+@pytest.mark.parametrize(
+    ("key", "inner"), [("tried", ""), ("chosen", ""), ("several", ".0"), ("tried_each", ".0"), ("named", "")]
+)
+def test_no_tag_of_a_union_is_in_a_place_and_only_the_member_in_question_is_judged(key, inner):
+    def told(table):
+        with pytest.raises(KeyedError) as refused:
+            Plain(**{key: [table] if inner else table})
+        return [line for line in str(refused.value).removeprefix("Plain: ").split("\nPlain: ") if "got {" not in line]
+
+    place = f"{key}{inner}"
+    assert told(ROAD | {"lane": 1}) == [f"{place}.lane: unknown key, did you mean 'lanes'?; allowed: lanes, surface"]
+    assert told(ROAD | {"lanes": "x"})[0].startswith(f"{place}.lanes: should be an integer")
+    assert len(told(ROAD | {"lanes": "x"})) == 1
+
+
+def test_the_types_of_a_union_are_no_keys():
+    class Mixed(Value):
+        x: float | list[int] = 1.0
+
+    with pytest.raises(KeyedError, match=r"^Mixed: x: should be a number.*\nMixed: x\.1: should be an integer"):
+        Mixed(x=[1, "w"])
