@@ -227,6 +227,17 @@ def test_max_min_escapes_between_two_pursuers():
     assert abs(heading_of(MaxMin(), -3 + 0j, 3 + 0j).imag) == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize("strategy", [MaxMin(), MaxGeodesic()], ids=named)
+def test_of_two_equally_good_headings_the_one_to_the_left_is_chosen_wherever_the_pursuit_is(strategy):
+    """One pursuer is behind, the other ahead: as many degrees to the left as to the right of the line are as good."""
+    rng = np.random.default_rng(2)
+    for _ in range(50):
+        ahead, place = rect(1.0, rng.uniform(-pi, pi)), complex(*rng.uniform(-9.0, 9.0, 2))
+        behind = rng.uniform(0.5, 1.0)
+        heading = heading_of(strategy, place - behind * ahead, place + 2.0 * behind * ahead, evader=place) / ahead
+        assert heading.imag > 0.2, (ahead, place)
+
+
 def test_first_captures_are_those_of_the_first():
     """Towards a pursuer of 1.5 m/s at 5 m, at 1 m/s: 4.9 / 2.5 s; away from it 4.9 / 0.5 s; the other is far."""
     times = first_captures(observation(5 + 0j, 1e3 + 0j), np.array([1 + 0j, -1 + 0j]))

@@ -64,7 +64,8 @@ class PureEvasion(Fleeing):
 
 
 ROUNDING = 1e-12
-"""A sum of n vectors of length at most 1 counts as 0 if its length is at most n times this value."""
+"""A sum of n vectors of length at most 1 counts as 0 if its length is at most n times this value. Values that differ
+less, as a share, count as equal."""
 
 
 class WeightedFlee(Fleeing):
@@ -108,7 +109,7 @@ class MaxMin(Fleeing):
             return 0j
         turns = _turns(self.candidates)
         headings = straight.real * turns + straight.imag * (1j * turns)  # numpy's complex product varies by processor
-        return complex(headings[first_captures(fled_from, headings).argmax()])
+        return complex(headings[first_of_greatest(first_captures(fled_from, headings))])
 
 
 class MaxGeodesic(Fleeing):
@@ -149,7 +150,7 @@ class MaxGeodesic(Fleeing):
         # The way changes each path by at most `length`, so only these pursuers can be the nearest at its end.
         near = fled_from.distances <= fled_from.distances[fled_from.nearest] + 2.0 * length
         distances = [space.distances(ends, place) for place in fled_from.pursuers[near].tolist()]
-        return headings[int(np.min(distances, axis=0).argmax())]
+        return headings[first_of_greatest(np.min(distances, axis=0))]
 
 
 class Hide(Fleeing):
@@ -342,6 +343,15 @@ def _turns(count: int) -> Points:
 def away(state: State) -> complex:
     """Return the heading straight away from the nearest pursuer; 0 at distance 0 or without pursuers."""
     return unit(state.offsets.item(state.nearest)) if state.nearest >= 0 else 0j
+
+
+def first_of_greatest(values: Floats) -> int:
+    """Return the index of the first of (K,) values, at least 0, that is the greatest up to rounding.
+
+    Two headings at equal angles to the line of sight of the nearest pursuer are often equally good; the last digit of
+    their values depends on where in the plane the pursuit is.
+    """
+    return int((values >= values.max() * (1.0 - ROUNDING)).argmax())
 
 
 def first_captures(state: EvaderObservation, headings: Points) -> Floats:
