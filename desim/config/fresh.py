@@ -83,8 +83,9 @@ def _refusal(users: Mapping[str, Any], error: Exception) -> StateError:
         try:
             _copy(value)
         except Exception as reason:
+            place = f"{key}: " if key else ""
             return StateError(
-                f"{key}: {name_of(value)} may remember something, so each run calls a copy of it, but it cannot be"
+                f"{place}{name_of(value)} may remember something, so each run calls a copy of it, but it cannot be"
                 f" copied ({reason}): create what changes in the first call during the run, or leave it out in the"
                 " __getstate__ of its class"
             )

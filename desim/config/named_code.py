@@ -11,7 +11,7 @@ from typing import Any
 
 from pydantic import PydanticUserError, ValidationInfo
 
-from desim.config.own_modules import CodeName, find_own_modules, is_of_user, module_beside, plain_name
+from desim.config.own_modules import NOT_OWN, CodeName, find_own_modules, is_of_user, module_beside, plain_name
 from desim.config.packages import KINDS_OF, HiddenPackageError
 from desim.config.suggestion import did_you_mean
 from desim.config.trust import ALLOW_HINT, is_trusted
@@ -84,6 +84,9 @@ def load_named(kind: str, folder: Path | None) -> Any:
     point = _named_by_entry_points().get(kind)
     if point is None and folder is not None:
         where = f"; also searched in the folder of the file, {folder.absolute()}"
+        if (top := module.partition(".")[0]) in NOT_OWN:
+            own = folder.absolute() / f"{top}.py"
+            where = f"; Python and desim do not import {own}: a module of theirs has this name" if own.exists() else ""
         package = module_beside(module, folder)
     at_folder = package.removeprefix(module.partition(".")[0]).partition(".")[0]
     look_up = (lambda: reduce(getattr, name.split("."), import_module(package))) if point is None else point.load

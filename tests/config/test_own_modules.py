@@ -14,6 +14,7 @@ import pytest
 
 from desim import load, run, summary, sweep
 from desim.config.choice import OneOf
+from desim.config.named_code import load_named
 from desim.config.own_modules import _Finder, find_own_modules, folder_in_name, module_beside, plain_name
 from desim.kernel.core.trace_file import line_of
 from desim.results import provenance
@@ -174,6 +175,17 @@ def test_errors_have_plain_names(folders):
     (folders[0] / "s.toml").write_text('protocol = "shapes.none:rule"')
     with pytest.raises(ValueError, match=r"cannot be imported: No module named 'shapes.none'; also searched in"):
         loaded(folders[0])
+
+
+@pytest.mark.parametrize("name", ["code", "random", "protocols"])
+def test_a_name_of_a_module_of_python_or_of_desim_is_told_if_the_folder_has_it(name, tmp_path):
+    named = f"module '{name}' has no attribute 'mine'"
+    with pytest.raises(ValueError, match=named) as error:
+        load_named(f"{name}:mine", tmp_path)
+    assert str(tmp_path) not in str(error.value)
+    (tmp_path / f"{name}.py").write_text("mine = len")
+    with pytest.raises(ValueError, match=rf"{named}.*; Python and desim do not import .*{name}.py: a module of theirs"):
+        load_named(f"{name}:mine", tmp_path)
 
 
 def test_python_and_desim_precede_modules_beside_a_file(folders):
