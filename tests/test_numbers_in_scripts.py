@@ -259,6 +259,13 @@ def test_the_groups_of_a_partition_may_be_sets(groups):
     assert SHORT.with_({"team.count": 4, "fault": [partition]}).fault == (partition,)
 
 
+def test_an_iterator_of_too_many_groups_is_refused_and_not_cut_off(monkeypatch):
+    monkeypatch.setattr("desim.config.python_numbers.MAX_ITEMS", 3)
+    assert len(desim.Partition(groups=({node} for node in range(3)), start=0.1, end=0.2).groups) == 3
+    with pytest.raises(ValueError, match="a list of more than 3 items"):
+        desim.Partition(groups=({node} for node in range(4)), start=0.1, end=0.2)
+
+
 def test_nodes_whose_order_has_no_effect_may_be_a_set():
     assert desim.Slander(node=0, start=0.0, accused={2, 1}).accused == (1, 2)
     assert desim.LoRa(gateways={2, 0}, access="aloha").gateways == (0, 2)

@@ -54,9 +54,8 @@ def is_stateless_module(name: str) -> bool:
 
     A function that pydantic validates has an object of an internal class, which cannot be copied.
     """
-    if name.startswith(("networkx.classes.", "pydantic._internal.")):
-        return name.startswith("pydantic")
-    return name.partition(".")[0] in NEVER_CHANGED
+    is_shared = name.partition(".")[0] in NEVER_CHANGED or name.startswith("pydantic._internal.")
+    return is_shared and not name.startswith("networkx.classes.")
 
 
 @lru_cache(maxsize=256)
