@@ -229,7 +229,10 @@ def generator():
 @pytest.mark.parametrize(
     ("body", "told"),
     [
-        (generator(), "a body of type generator cannot be sent: cannot pickle 'generator' object"),
+        (
+            generator(),
+            "a body of type generator cannot be sent: cannot pickle 'generator' object: send a list, or what",
+        ),
         ({"a": [generator()]}, "a body of type dict cannot be sent: cannot pickle 'generator' object"),
         ((1, threading.Lock()), "a body of type tuple cannot be sent: cannot pickle '_thread.lock' object"),
         (

@@ -44,7 +44,13 @@ COMPARED = (int, float, complex, np.generic, tuple)
 """Types whose objects may equal an object of another one of these types, as 1 equals 1.0."""
 SHARED = (list, dict, set, bytearray, deque, np.ndarray)
 """Types of collections that can be changed, so that a sender and its receivers must not share them."""
-COPIED = {"mappingproxy": "a dict", "dict_keys": "a list", "dict_values": "a list", "dict_items": "a list"}
+COPIED = {
+    "generator": "a list, or what a method returns,",
+    "mappingproxy": "a dict",
+    "dict_keys": "a list",
+    "dict_values": "a list",
+    "dict_items": "a list",
+}
 """What to send instead of an object that Python cannot copy, by the name of its type."""
 Parts = Callable[[Any], Iterable[Any]]
 """A function that returns the objects of which an object consists."""
