@@ -3,6 +3,7 @@
 The code is not run: its instructions are read, and the names in them are looked up.
 """
 
+import queue
 import re
 import sys
 from collections import deque
@@ -22,6 +23,8 @@ from desim.config.traits import module_of
 COLLECTIONS = (list, set, dict, deque, np.ndarray)
 ADDING = {"append", "extend", "add", "update", "put", "put_nowait"}
 """The methods that add to a collection and return nothing."""
+TAKING = {"get", "get_nowait", "qsize", "empty", "full"}
+"""The methods of a queue whose answers depend on what it holds."""
 Read = Callable[[], Any]
 """Returns the value of a variable; None if it has no value."""
 BY_TEXT = {"globals", "vars", "getattr", "setattr", "delattr", "__dict__", "__globals__", "modules", "import_module"}
@@ -57,6 +60,23 @@ def shared_variables(objects: Iterable[Any]) -> Iterator[tuple[Any, str, Read]]:
             for function in _functions_in(vars(item).values()):
                 yield from _variables(function, item)
             yield from ((item, *variable) for variable in _attributes(item.__qualname__, vars(item)))
+
+
+def shared_queues(objects: Iterable[Any], code: Iterable[Any]) -> Iterator[tuple[Any, str, Read]]:
+    """Yield the queues among some objects as variables if code reads queues: its owner, its name, and what reads it.
+
+    If all code only puts something into queues, it reports to the caller.
+    """
+    functions = [
+        each for item in code for each in (_functions_in(vars(item).values()) if isinstance(item, type) else [item])
+    ]
+    if any(
+        isinstance(each, FunctionType) and not _words_of(each.__code__).names.isdisjoint(TAKING) for each in functions
+    ):
+        for item in objects:
+            if isinstance(item, queue.Queue | queue.SimpleQueue):
+                name = f"a {type(item).__name__} that a model holds (runs share it; a deque is copied)"
+                yield item, name, partial(_itself, item)
 
 
 def is_foreign(definition: Any) -> bool:

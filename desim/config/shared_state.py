@@ -15,7 +15,15 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from desim.config.caller_warnings import warn_caller
-from desim.config.code_variables import CACHED, MAX_SEARCHED, Read, is_foreign, reached_code, shared_variables
+from desim.config.code_variables import (
+    CACHED,
+    MAX_SEARCHED,
+    Read,
+    is_foreign,
+    reached_code,
+    shared_queues,
+    shared_variables,
+)
 from desim.config.outside import Outside, outside_sources
 from desim.config.own_modules import plain_name
 from desim.config.traits import module_of
@@ -71,11 +79,12 @@ def shared_changes(objects: Iterable[Any], snapshot: Callable[[Any], Any]) -> It
         objects: the classes and functions, perhaps among other objects.
         snapshot: returns a description that differs after a value has changed; None if changes cannot be found.
     """
-    objects = reached_code(objects)
+    held = list(objects)
+    objects = reached_code(held)
     outside = Outside.of_all(map(_outside, objects))
     for text in _warnings_of(outside):
         _warn(text)
-    reads = list(shared_variables(objects))
+    reads = [*shared_variables(objects), *shared_queues(held, objects)]
     before = [snapshot(read()) for _, _, read in reads]
     if carried := _carried(reads, before):
         text = (

@@ -920,6 +920,41 @@ def test_a_memo_and_a_report_are_not_warned_of():
     assert seen.qsize() > 0
 
 
+class Delayed:
+    """An object whose headings are what its queue has."""
+
+    def __init__(self, kind):
+        self.queue = kind()
+        for _ in range(1000):
+            self.queue.put(1)
+
+    def __call__(self, state, rng):
+        return 1j * self.queue.get()
+
+
+class Told:
+    """An object that tells its caller by its queue."""
+
+    def __init__(self, kind):
+        self.queue = kind()
+
+    def __call__(self, state, rng):
+        self.queue.put(state.stamp)
+        return 1j
+
+
+@pytest.mark.parametrize("kind", [queue.Queue, queue.SimpleQueue, queue.PriorityQueue])
+def test_a_queue_of_an_object_is_warned_of_if_the_run_reads_it(kind):
+    """Runs share it, because threads do."""
+    for model, is_read in ((Delayed(kind), True), (Told(kind), False)):
+        with catch_warnings(record=True) as caught:
+            simplefilter("always")
+            for _ in range(2):
+                run(brief(model), 1)
+        texts = [str(warning.message) for warning in caught if warning.category is StateWarning]
+        assert [f"a {kind.__name__} that a model holds" in text for text in texts] == [True] * is_read
+
+
 class Computing:
     """An object that computes a table when it is first read, and a generator that is drawn from."""
 
