@@ -118,7 +118,10 @@ def _denoted(use: Use, namespace: Mapping[str, Any]) -> Any:
     for name in others:
         if not isinstance(denoted, ModuleType | type):
             return None
-        denoted = getattr(denoted, name, None)
+        try:
+            denoted = getattr(denoted, name, None)
+        except Exception:  # a package that imports others when they are first named may lack one of them
+            return None
     return denoted
 
 

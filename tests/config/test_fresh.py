@@ -1036,6 +1036,20 @@ def test_state_of_an_installed_package_is_a_matter_of_its_authors(folder, monkey
         run(scenario, 1)
 
 
+def test_a_package_that_lacks_what_code_names_is_no_error(monkeypatch):
+    """It imports its parts when they are first named, and the code names them only if they are there."""
+    lazy = ModuleType("lazy_library")
+    exec("def __getattr__(name):\n    raise ModuleNotFoundError(f'{name} needs torch')", vars(lazy))
+    lazy.__file__ = "/home/me/lazy_library.py"
+    monkeypatch.setitem(sys.modules, "lazy_library", lazy)
+
+    def strategy(state, rng):
+        return lazy.Tensor.new() if state is None else 1j
+
+    for _ in range(2):
+        run(brief(strategy), 1)
+
+
 def test_state_of_a_users_script_is_warned_of_in_a_worker_process(monkeypatch):
     """There, the main module is one of the installed package of the workers, and the script came by pickle."""
     main = ModuleType("__main__")
