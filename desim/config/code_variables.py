@@ -11,13 +11,14 @@ from collections.abc import Callable, Collection, Iterable, Iterator
 from dis import get_instructions
 from functools import cached_property, lru_cache, partial, partialmethod, singledispatchmethod
 from itertools import pairwise
+from pathlib import Path
 from types import CellType, CodeType, FunctionType, MethodType, ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from desim.config.outside import inner_code
-from desim.config.own_modules import plain_name
+from desim.config.own_modules import is_installed, plain_name
 from desim.config.traits import module_of
 
 COLLECTIONS = (list, set, dict, deque, np.ndarray)
@@ -200,9 +201,8 @@ def _is_installed(module: ModuleType) -> bool:
     """
     if module.__name__ == "__main__":
         return False
-    file = getattr(module, "__file__", None) or ""
-    is_library = not {"site-packages", "dist-packages"}.isdisjoint(re.split(r"[/\\]", file))
-    return module.__name__.partition(".")[0] in _FOREIGN or is_library
+    file = getattr(module, "__file__", None)
+    return module.__name__.partition(".")[0] in _FOREIGN or (isinstance(file, str) and is_installed(Path(file)))
 
 
 def _is_of_package(definition: Any) -> bool:

@@ -10,9 +10,11 @@ folder is written as %2E, because dots separate packages.
 """
 
 import ast
+import os
 import re
 import sys
 from collections.abc import Iterator, Sequence
+from functools import cache
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from importlib.util import find_spec, spec_from_file_location
 from pathlib import Path
@@ -60,7 +62,27 @@ def is_of_user(frame: FrameType) -> bool:
     top = plain_name(str(frame.f_globals.get("__name__", ""))).partition(".")[0]
     file = Path(frame.f_code.co_filename)
     is_library = top in {"desim", "protocols"} or top in _LIBRARIES
-    return not is_library and not {"site-packages", "dist-packages"} & set(file.parts) and file.is_file()
+    return not is_library and not is_installed(file) and file.is_file()
+
+
+@cache
+def is_installed(file: Path) -> bool:
+    """Return whether a module with this file belongs to Python or to an installed package.
+
+    Packages are installed into folders with certain names or, by `pip install --target`, beside lists of their files.
+    """
+    if {"site-packages", "dist-packages"} & set(file.parts) or file.is_relative_to(Path(os.__file__).parent):
+        return True
+    while (file.parent / "__init__.py").is_file():
+        file = file.parent
+    return file.name.partition(".")[0] in _listed(file.parent)
+
+
+@cache
+def _listed(folder: Path) -> frozenset[str]:
+    """Return the names of the modules and packages in a folder that are in the lists of installed files there."""
+    lists = (record.read_text(encoding="utf-8", errors="replace") for record in folder.glob("*.dist-info/RECORD"))
+    return frozenset(re.split(r"[./\\,]", line, maxsplit=1)[0] for text in lists for line in text.splitlines())
 
 
 def module_beside(name: str, folder: Path) -> str:

@@ -2,9 +2,15 @@
 
 import importlib
 import pickle
+import sys
 from functools import partial
+from pathlib import Path
 from threading import Event, Thread
+from types import ModuleType
 
+import pytest
+
+from desim.config.own_modules import is_installed
 from desim.study.workers import serialization
 from desim.study.workers.serialization import packed
 
@@ -52,3 +58,39 @@ def test_a_wrapper_that_passes_on_attributes_arrives_in_another_process():
 
     assert pickle.loads(packed(partial(Passing([3]).index, 3)))() == 0
     assert pickle.loads(packed(partial(getattr, Passing(3 + 4j), "imag")))() == 4
+
+
+@pytest.mark.parametrize("target", [False, True])
+def test_the_code_of_an_installed_package_is_imported_by_the_other_process(tmp_path, monkeypatch, target):
+    """Also if it was installed into any folder, by `pip install --target`; a module beside it is the user's."""
+    folder, package = tmp_path / ("libraries" if target else "site-packages"), f"packed_{target}"
+    (folder / package / "inner").mkdir(parents=True)
+    for file in (f"{package}/__init__.py", f"{package}/inner/__init__.py"):
+        (folder / file).touch()
+    for file in (f"{package}/inner/deep", f"{package}_alone", f"{package}_mine"):
+        (folder / f"{file}.py").write_text("def double(x):\n    return 2 * x\n")
+    if target:
+        (folder / f"{package}-1.0.dist-info").mkdir()
+        listed = [f"{package}/__init__.py,sha256=0,9", f"{package}/inner/deep.py,,", f"{package}_alone.py,,"]
+        (folder / f"{package}-1.0.dist-info" / "RECORD").write_text("\n".join(listed))
+    monkeypatch.syspath_prepend(folder)
+    for name, is_code in ((f"{package}.inner.deep", False), (f"{package}_alone", False), (f"{package}_mine", target)):
+        module = importlib.import_module(name)
+        assert (b".py" in packed(partial(module.double, 2))) == is_code
+        assert is_installed(Path(module.__file__)) != is_code
+
+
+def test_a_module_of_a_class_of_its_own_is_imported_by_the_other_process(monkeypatch):
+    """Such as that of mpmath, or one that imports its parts when they are first named."""
+
+    class Lazy(ModuleType):
+        pass
+
+    lazy = Lazy("lazy_module")
+    lazy.three = 3
+    monkeypatch.setitem(sys.modules, "lazy_module", lazy)
+
+    def add(x):
+        return lazy.three + x
+
+    assert pickle.loads(packed(partial(add, 2)))() == 5

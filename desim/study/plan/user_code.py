@@ -19,7 +19,7 @@ from pkgutil import iter_modules
 from typing import Any, NamedTuple
 
 from desim.config.data_files import content_hash, opened_by
-from desim.config.own_modules import OwnLoader, folder_in_name, importing_call, module_beside, plain_name
+from desim.config.own_modules import OwnLoader, folder_in_name, importing_call, is_installed, module_beside, plain_name
 from desim.config.traits import OURS
 from desim.results.environment import NUMERICS
 from desim.study.plan.assigned_values import changed_in_place, values_beside_source
@@ -137,12 +137,6 @@ def _edited_code(spec: ModuleSpec, file: Path) -> bytes:
     flags, modified, size = (int.from_bytes(compiled[k : k + 4], "little") for k in (4, 8, 12))
     is_of_source = flags != 0 or (modified, size) == (int(status.st_mtime) & 0xFFFFFFFF, status.st_size & 0xFFFFFFFF)
     return b"" if is_of_source else compiled[16:]
-
-
-@cache
-def is_installed(file: Path) -> bool:
-    """Return whether a module with this file belongs to an installed package or to Python."""
-    return bool({"site-packages", "dist-packages"} & set(file.parts)) or file.is_relative_to(Path(os.__file__).parent)
 
 
 @cache

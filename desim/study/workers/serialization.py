@@ -10,16 +10,17 @@ import pickle
 import sys
 from collections import ChainMap
 from functools import cache, partial
+from importlib import import_module
 from pathlib import Path
 from threading import RLock
-from types import CodeType
+from types import CodeType, ModuleType
 from typing import Any, ClassVar
 
 import cloudpickle
 
 from desim.config.copier import passes_on_attributes, with_state_setter
+from desim.config.own_modules import is_installed
 from desim.config.traits import OURS
-from desim.study.plan.user_code import is_installed
 
 Call = partial[Any]
 """A function and its arguments."""
@@ -30,7 +31,8 @@ _REGISTERING = RLock()
 class CallPickler(cloudpickle.Pickler):  # type: ignore[misc]
     """A pickler whose code objects keep the names of their files, so that tracebacks are the same in any process.
 
-    The code objects of cloudpickle 3.1.3 have no file. This class can also pickle wrappers that forward attributes.
+    The code objects of cloudpickle 3.1.3 have no file. This class can also pickle wrappers that forward attributes, and
+    modules of classes of their own, such as that of mpmath.
     """
 
     dispatch_table: ClassVar = ChainMap(
@@ -39,6 +41,8 @@ class CallPickler(cloudpickle.Pickler):  # type: ignore[misc]
 
     def reducer_override(self, value: Any) -> Any:
         """Return how to make an object again in another process; NotImplemented for the usual way."""
+        if isinstance(value, ModuleType) and sys.modules.get(value.__name__) is value and type(value) is not ModuleType:
+            return import_module, (value.__name__,)
         reduced = super().reducer_override(value)
         if reduced is NotImplemented and passes_on_attributes(type(value)):
             return with_state_setter(value.__reduce_ex__(5))
