@@ -627,6 +627,22 @@ def test_a_model_that_another_model_calls_has_the_state_of_the_run(kind, way):
         assert events(linked(loss=theirs, duplicate=theirs)) == events(linked(loss=model, duplicate=model))
 
 
+UNCALLED = [
+    (kind, method)
+    for kind in dict.fromkeys(RECEPTION_MODELS.choices().values())
+    for method in ("bound", "received")
+    if positions(kind, method)
+]
+
+
+@pytest.mark.parametrize(("kind", "method"), UNCALLED)
+def test_a_reception_that_overrides_what_a_run_need_not_call_is_refused(kind, method):
+    own = {method: lambda _, *given: 0.0}
+    with pytest.raises(KeyedError, match=f"Theirs has its own {method}, .*: it should have its own __call__, too"):
+        linked(range=2.0, reception=derived(kind, **own))
+    linked(range=2.0, reception=derived(kind, **own, __call__=lambda _, *given: near(*given)))
+
+
 @pytest.mark.parametrize("method", ["draw", "quantile"])
 def test_an_inherited_method_that_knows_no_links_needs_a_start_run(method):
     """The draws and quantiles of a kind are without the state of the links."""

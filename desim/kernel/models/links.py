@@ -10,7 +10,7 @@ from pydantic import BaseModel, ValidationInfo, field_validator, model_validator
 from desim.config.errors import KeyedError, Problem
 from desim.config.fresh import fresh_copy
 from desim.config.model import Extent, Time, Value
-from desim.config.traits import name_of
+from desim.config.traits import name_of, overrides, positions
 from desim.kernel.core.units import nanoseconds
 from desim.kernel.measured.base import NamedTable
 from desim.kernel.models.coherence import Coherence
@@ -167,6 +167,12 @@ class Links(Value):
     def _check_coherence(self) -> Self:
         """Raise KeyedError if the fading is correlated, but the reception or the coherence lacks something for it."""
         if self.fading != "correlated":
+            kind: Any = type(self.reception)
+            if overrides(kind, "received", min(positions(kind, "__call__"), default=0)):
+                why = (
+                    'has its own received, which only fading = "correlated" calls: it should have its own __call__, too'
+                )
+                raise KeyedError(Problem(f"{name_of(self.reception)} {why}", "reception"))
             return self
         traits = ReceptionTraits.of(self.reception)
         if traits.received is None:

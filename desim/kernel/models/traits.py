@@ -182,7 +182,9 @@ class InterferenceTraits(Traits):
 class ReceptionTraits(Traits):
     """The optional methods of a reception model, in addition to `__call__`."""
 
-    twins: ClassVar[Mapping[str, tuple[str, ...]]] = MappingProxyType(dict.fromkeys(("one", "border"), ("__call__",)))
+    twins: ClassVar[Mapping[str, tuple[str, ...]]] = MappingProxyType(
+        dict.fromkeys(("one", "border", "bound"), ("__call__",))
+    )
     bound: Annotated[Callable[[float], float] | None, Follows("__call__")] = None
     """`bound(range)` returns the distance, m, beyond which no message is received; None: there is no such distance."""
     received: Annotated[Callable[[Floats, float, ChannelState], Any] | None, Follows("__call__")] = None
