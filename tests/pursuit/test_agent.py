@@ -731,6 +731,16 @@ def test_an_evader_that_does_not_exist_is_refused(evader):
 TIMEOUTS = (0.5, 3, None, nan)
 """What may be given in the place of a port, a phase or a name: a time-out, or nothing."""
 NO_NUMBERS = ("1", None, [1], {}, 1.0)
+
+
+def generating():
+    yield
+
+
+async def waiting():
+    pass
+
+
 WRONG_ARGUMENTS = {
     "a port should be a text": [
         (call, value)
@@ -775,6 +785,17 @@ WRONG_ARGUMENTS = {
     ],
     "merge_records takes": [(Agent.merge_records, value) for value in (None, 1, ["x"], "x")],
     "after: act should be a function": [(lambda me, act: me.after(0.1, act), value) for value in (None, 0.5, "x")],
+    "after: act should accept a call without arguments": [
+        (lambda me, act: me.after(0.1, act), value) for value in (lambda x: x, partial(pow, 2))
+    ],
+    "after: act should do its work when it is called": [(lambda me, act: me.after(0.1, act), generating)],
+    "after: act should have `def` in place of `async def`": [(lambda me, act: me.after(0.1, act), waiting)],
+    "after: the duration should be a number": [
+        (lambda me, duration: me.after(duration, print), value) for value in ("1", None, [1])
+    ],
+    r"after\(.*\): the duration should be finite": [
+        (lambda me, duration: me.after(duration, print), value) for value in (-1.0, nan, inf)
+    ],
 }
 """By the beginning of a sentence: calls of an agent, each with an argument that it refuses with this sentence."""
 

@@ -77,15 +77,19 @@ class Timing:
             ValueError: if the duration is negative, infinite, nan or not a number.
             StandstillError: if it waits for the present without end.
         """
+        return self._event_after(duration, phase, "sleep")
+
+    def _event_after(self, duration: float, phase: Phase, method: str) -> Instant:
+        """Return the event of this pursuer after a duration, s, that was given to a method; see `sleep`."""
         if type(duration) is not float:
-            duration = real(duration, f"pursuer {self.id}: sleep: the duration")
+            duration = real(duration, f"pursuer {self.id}: {method}: the duration")
         try:
             if duration < 0.0:  # also one that rounds to 0 ns
                 raise ValueError(duration)
             return self._event(self._env.now + self._clock.span(duration), phase)
         except (OverflowError, ValueError) as error:
-            text = f"pursuer {self.id}: sleep({duration}): the duration should be finite and at least 0 s{RETURN_HINT}"
-            raise ValueError(text) from error
+            text = f"{method}({duration}): the duration should be finite and at least 0 s{RETURN_HINT}"
+            raise ValueError(f"pursuer {self.id}: {text}") from error
 
     def _event(self, due: int, phase: Phase) -> Instant:
         """Return the event of this pursuer at a time, ns."""
@@ -131,17 +135,21 @@ class Timing:
         """Call a function after a duration (s) on the local clock, unless the pursuer restarts without memory before.
 
         Raises:
-            ValueError: if the duration is negative, infinite, nan or not a number, or there is no function.
+            ValueError: if the duration is negative, infinite, nan or not a number, or `act` is no function that can be
+                called without arguments and then does its work.
         """
         if not callable(act):
             raise ValueError(f"pursuer {self.id}: after: act should be a function (got {value_text(act)})")
+        if module_of(act).partition(".")[0] not in OURS:
+            check_argument(act, (), f"pursuer {self.id}: after: act")
+            check_at_once(act, f"pursuer {self.id}: after: act ")
         restarts_before = self.restarts
 
         def happen(_: simpy.Event) -> None:
             if self.restarts == restarts_before:
                 act()
 
-        self.sleep(duration, phase).callbacks.append(happen)
+        self._event_after(duration, phase, "after").callbacks.append(happen)
 
     def after_decisions(self) -> simpy.Event:
         """Return an event that happens at the present instant, after all decisions of this instant."""
