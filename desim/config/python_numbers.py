@@ -86,7 +86,7 @@ def sets_as_lists(value: Any) -> Any:
     if isinstance(value, Set):
         return sorted(value) if all(isinstance(item, Integral) for item in value) else value
     if isinstance(value, GeneratorType):
-        value = list(islice(value, MAX_ITEMS + 1))  # `as_python` refuses a list of more
+        return (sets_as_lists(item) for item in value)  # not a list, because it may have no end
     return [sets_as_lists(item) for item in value] if type(value) in ROWS else value
 
 
