@@ -385,6 +385,7 @@ ALLOWED = {
     "desim/live/nursery.py": {"pickle.loads"},  # what the process that has started it sent over a pipe
     "desim/testing/judging.py": {"cloudpickle.loads"},  # what it has just pickled
     "desim/view/pages/replay_columns.py": {"np.frombuffer"},  # numbers alone
+    "desim/study/plan/user_code.py": {"marshal", "marshal.loads"},  # the code that Python has stored, to compare it
     "desim/study/workers/serialization.py": {"pickle.loads", "marshal"},  # what the driver sent to its workers
     "desim/study/plan/assigned_values.py": {"ast.literal_eval"},  # of literals in the source of an imported module
     "desim/study/comparing/suite.py": {"load"},  # of a scenario file

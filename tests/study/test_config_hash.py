@@ -2,6 +2,7 @@
 
 import copy
 import linecache
+import os
 import pickle
 import random
 import re
@@ -508,6 +509,24 @@ def test_a_module_that_was_edited_after_its_import_counts_as_it_was_imported(
             found.append(object_hash(module.rule))
     assert len({*found}) == 1
     assert object_hash(reload(module).rule) != found[0]  # a warning is an error
+    sys.modules.pop(name)
+
+
+@pytest.mark.parametrize("beside", [False, True])
+def test_a_module_that_was_only_saved_again_was_not_edited(tmp_path, monkeypatch, beside):
+    monkeypatch.syspath_prepend(tmp_path / ("" if beside else "rules"))
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
+    (tmp_path / "rules").mkdir()
+    file = tmp_path / "rules" / "touched.py"
+    file.write_text("def rule(me):\n    yield me.sleep(1)\n")
+    invalidate_caches()
+    find_own_modules()
+    name = module_beside("touched", tmp_path / "rules")
+    module = import_module(name)
+    os.utime(file, (0, 0))
+    found = object_hash(module.rule)  # a warning is an error
+    sys.modules.pop(name)
+    assert object_hash(import_module(name).rule) == found
     sys.modules.pop(name)
 
 

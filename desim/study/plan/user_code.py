@@ -5,6 +5,7 @@ A module that was edited after its import runs as it was imported, and so it is 
 
 import ast
 import json
+import marshal
 import os
 import re
 import sys
@@ -122,13 +123,16 @@ def _as_imported(name: str, file: Path) -> Imported:
     known = _IMPORTED.get(name)
     if known is None or known.spec is not spec or spec is None:
         source = spec.loader.source if spec and isinstance(spec.loader, OwnLoader) else file.read_bytes()
-        known = Imported(spec, (spec and _edited_code(spec, file)) or source, source)
+        known = Imported(spec, (spec and _edited_code(spec, file, source)) or source, source)
         _IMPORTED[name] = known
     return known
 
 
-def _edited_code(spec: ModuleSpec, file: Path) -> bytes:
-    """Return the compiled code of a module whose source was edited after Python compiled it; b"" if it was not."""
+def _edited_code(spec: ModuleSpec, file: Path, source: bytes) -> bytes:
+    """Return the compiled code of a module whose source was edited after Python compiled it; b"" if it was not.
+
+    A source that was only saved again, or touched, gives the same code.
+    """
     cached = Path(spec.cached or "")
     is_written = type(spec.loader) is SourceFileLoader and not sys.dont_write_bytecode
     if not (is_written and cached.is_file() and os.access(cached.parent, os.W_OK)):  # it may be of an older import
@@ -136,7 +140,15 @@ def _edited_code(spec: ModuleSpec, file: Path) -> bytes:
     compiled, status = cached.read_bytes(), file.stat()
     flags, modified, size = (int.from_bytes(compiled[k : k + 4], "little") for k in (4, 8, 12))
     is_of_source = flags != 0 or (modified, size) == (int(status.st_mtime) & 0xFFFFFFFF, status.st_size & 0xFFFFFFFF)
-    return b"" if is_of_source else compiled[16:]
+    return b"" if is_of_source or _is_code_of(source, file, compiled[16:]) else compiled[16:]
+
+
+def _is_code_of(source: bytes, file: Path, compiled: bytes) -> bool:
+    """Return whether Python compiles a source to some code; the bytes may differ, because they depend on references."""
+    try:
+        return bool(SourceFileLoader(file.stem, str(file)).source_to_code(source, str(file)) == marshal.loads(compiled))
+    except (SyntaxError, ValueError, TypeError, EOFError):  # one of them is not valid
+        return False
 
 
 @cache
