@@ -11,11 +11,12 @@ import threading
 from collections.abc import Iterator
 from contextvars import ContextVar
 from functools import cached_property, lru_cache
+from hashlib import sha256
 from io import BytesIO
 from itertools import count, repeat
 from types import CellType, FunctionType, GeneratorType, MappingProxyType, MethodType
 from typing import Any
-from weakref import WeakKeyDictionary, WeakValueDictionary
+from weakref import WeakKeyDictionary, WeakValueDictionary, finalize
 
 import numpy as np
 
@@ -112,6 +113,9 @@ class Describer(Copier):
     the run may have advanced it.
     """
 
+    owners: frozenset[int] = frozenset()
+    """The `id` of each object of which this describes a cached property."""
+
     def persistent_id(self, value: Any) -> int | None:
         """Return an index also for a function of a library, which never changes; None if a shared object may change."""
         if isinstance(value, SHARED_TYPES):
@@ -137,7 +141,7 @@ class Describer(Copier):
         try:
             reduced = super().reducer_override(value)
             if reduced is NotImplemented:
-                reduced = _without_cached(value, value.__reduce_ex__(5))  # raises if the object cannot be copied
+                reduced = self._without_cached(value, value.__reduce_ex__(5))  # raises if it cannot be copied
         except Exception:  # code of an object may raise anything
             is_first = isinstance(value, Iterator) and id(value) not in _described
             if is_first:
@@ -147,29 +151,47 @@ class Describer(Copier):
             return list, ([id(value), is_first],)
         return reduced
 
+    def _without_cached(self, value: Any, reduced: Any) -> Any:
+        """Return how to describe an object without its cached properties, which are computed from the rest.
+
+        Graphs of networkx have some. What advances when it is read, such as a random generator, stays. In place of any
+        other value of a user's property, it is described how often it has changed since it was first described.
+        NotImplemented if the object has no cached property.
+        """
+        kind = type(value)
+        attributes = reduced[2] if isinstance(reduced, tuple) and len(reduced) > 2 else None
+        if not isinstance(attributes, dict):
+            return NotImplemented
+        properties = {
+            name: member for name in attributes if type(member := getattr(kind, name, None)) is cached_property
+        }
+        cached = {name: attributes[name] for name in properties if not isinstance(attributes[name], ADVANCING)}
+        if not cached:
+            return NotImplemented
+        rest = {name: item for name, item in attributes.items() if name not in cached}
+        computed = {name: item for name, item in cached.items() if not is_foreign(properties[name].func)}
+        if computed and id(value) not in self.owners and (changes := self._changes(value, computed)):
+            rest[""] = changes
+        return (*reduced[:2], rest or None, *reduced[3:])
+
+    def _changes(self, owner: Any, computed: dict[str, Any]) -> list[tuple[str, int]]:
+        """Return the names of the cached values of an object that have changed, and how often, sorted."""
+        if id(owner) not in _computed:
+            finalize(owner, _computed.pop, id(owner), None)
+            _computed[id(owner)] = {}
+        states = _computed[id(owner)]
+        for name, item in computed.items():
+            describer = Describer(content := BytesIO())
+            describer.owners = self.owners | {id(owner)}
+            describer.dump(item)
+            state = sha256(content.getvalue()).digest(), [id(shared) for shared in describer.shared]
+            last, changes = states.get(name, (state, 0))
+            states[name] = state, changes + (state != last)
+        return sorted((name, changes) for name, (_, changes) in states.items() if name in computed and changes)
+
 
 ADVANCING = (Iterator, random.Random, np.random.Generator, np.random.RandomState)
 """The types of objects of which each reading changes the next one."""
-
-
-def _without_cached(value: Any, reduced: Any) -> Any:
-    """Return how to describe an object without its cached properties, which follow from the rest when they are read.
-
-    Graphs of networkx have some. What advances when it is read, such as a random generator, stays. NotImplemented if
-    the object has no cached property.
-    """
-    kind = type(value)
-    attributes = reduced[2] if isinstance(reduced, tuple) and len(reduced) > 2 else None
-    if not isinstance(attributes, dict):
-        return NotImplemented
-    rest = {
-        name: item
-        for name, item in attributes.items()
-        if type(getattr(kind, name, None)) is not cached_property or isinstance(item, ADVANCING)
-    }
-    return (*reduced[:2], rest or None, *reduced[3:]) if len(rest) < len(attributes) else NotImplemented
-
-
 SHARED_TYPES = (threading.local, ContextVar, queue.Queue, queue.SimpleQueue)
 """The types of objects that copies share, although what they hold changes."""
 MAX_DESCRIBED = 10_000
@@ -178,6 +200,8 @@ MAX_DESCRIBED = 10_000
 An iterator that is no longer kept has the description of a new one again. So a run that describes more iterators than
 these before it ends does not warn of the oldest of them.
 """
+_computed: dict[int, dict[str, tuple[Any, int]]] = {}
+"""By `id` of an object and cached property: its last description, and how often it has changed."""
 _described: dict[int, Any] = {}
 """The iterators that were described, by `id`; they are kept, so that no other object gets the `id` of one of them."""
 

@@ -966,8 +966,12 @@ class Computing:
     def generator(self):
         return np.random.default_rng(1)
 
+    @functools.cached_property
+    def itself(self):
+        return self
 
-COMPUTING, DRAWING = Computing(), Computing()
+
+COMPUTING, DRAWING, REMEMBERING = Computing(), Computing(), Computing()
 READ_GRAPH = networkx.path_graph(3)
 READS = {
     "a cached property": lambda: COMPUTING.table[0],
@@ -991,6 +995,20 @@ def test_a_function_that_pydantic_validates_is_a_model():
 
     for _ in range(2):
         assert run(brief(strategy), 1).trace.events == run(brief(lambda state, rng: 1j), 1).trace.events
+
+
+def test_what_runs_change_in_a_cached_property_is_warned_of():
+    """The first run computes it: only changes that later runs make are told from that."""
+    scenario = brief(doing(lambda: REMEMBERING.table.append(len(REMEMBERING.table))))
+    run(scenario, 1)
+    run(scenario, 1)
+    with pytest.warns(StateWarning, match=r"\.REMEMBERING: an earlier run has changed it"):
+        run(scenario, 1)
+
+
+def test_a_cached_property_may_refer_to_its_object():
+    for _ in range(3):  # a warning is an error
+        run(brief(doing(lambda: COMPUTING.itself.table)), 1)
 
 
 def test_a_generator_in_a_cached_property_is_warned_of():
