@@ -651,7 +651,10 @@ READS = {
 }
 
 
-@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
+UNCLOSED = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
+
+
+@UNCLOSED
 @pytest.mark.parametrize("code", READS.values(), ids=READS)
 def test_what_a_module_reads_from_a_file_as_it_is_imported_counts(tmp_path, monkeypatch, code):
     import pandas as pd
@@ -672,6 +675,25 @@ def test_what_a_module_reads_from_a_file_as_it_is_imported_counts(tmp_path, monk
         for name in ("reads", "lists"):
             sys.modules.pop(name, None)
     assert found[0] == found[1] != found[2]
+
+
+@UNCLOSED
+def test_a_module_that_a_run_imports_has_the_same_hash_before_and_after(tmp_path, monkeypatch):
+    """What it reads is not known before; otherwise a second sweep of a session would find other code."""
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "w.json").write_text("[1.0]")
+    (tmp_path / "lazily.py").write_text(f"import json\n\nWEIGHTS = json.load(open({str(tmp_path / 'w.json')!r}))\n")
+    (tmp_path / "importing.py").write_text("def rule(me):\n    import lazily\n    yield me.sleep(lazily.WEIGHTS[0])\n")
+    invalidate_caches()
+    rule = import_module("importing").rule
+    found = object_hash(rule)
+    assert "lazily" not in sys.modules
+    next(rule(Mock()))
+    assert object_hash(rule) == found
+    sys.modules["lazily"].WEIGHTS.append(2.0)
+    assert object_hash(rule) == found
+    for name in ("importing", "lazily"):
+        sys.modules.pop(name)
 
 
 INSTALLED = {

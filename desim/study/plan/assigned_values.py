@@ -36,7 +36,9 @@ READING = {
 """The words in names of functions that read files. What `open_data` opens is hashed already."""
 
 
-def values_beside_source(module: ModuleType, source: bytes, state: Set[str]) -> dict[str, Any]:
+def values_beside_source(
+    module: ModuleType, source: bytes, state: Set[str], *, with_files: bool = True
+) -> dict[str, Any]:
     """Return the present values of the variables of a module that do not follow from its source, by name.
 
     They are the constants whose values differ from those in the source, and what the module has read from files.
@@ -46,6 +48,7 @@ def values_beside_source(module: ModuleType, source: bytes, state: Set[str]) -> 
         module: the module.
         source: its source.
         state: the names of variables that other modules of the run change, see `changed_in_place`.
+        with_files: whether what the module has read from files is returned.
     """
     constants = _constants(source)
     assigned = {
@@ -53,7 +56,7 @@ def values_beside_source(module: ModuleType, source: bytes, state: Set[str]) -> 
         for name, value in _present(module, constants)
         if _may_differ(value, name) and _text(value) != constants[name]
     }
-    values = assigned | dict(_present(module, _names_from_files(source)))
+    values = assigned | dict(_present(module, _names_from_files(source) if with_files else ()))
     return {name: value for name, value in values.items() if _last_part(name) not in state}
 
 

@@ -98,7 +98,8 @@ class UserCode:
         """Return the values of variables that do not follow from the source of their module, by module and name."""
         state = frozenset[str]().union(*(changed_in_place(source) for _, source in self._sources.values()))
         return {
-            key: values_beside_source(sys.modules[name], source, state) for key, (name, source) in self._sources.items()
+            key: values_beside_source(sys.modules[name], source, state, with_files=not _IMPORTED[name].is_late)
+            for key, (name, source) in self._sources.items()
         }
 
 
@@ -111,6 +112,8 @@ class Imported(NamedTuple):
     """What is hashed: its source, or its compiled code if the source was edited before it was first read."""
     source: bytes
     """The source in which its imports are looked up."""
+    is_late: bool
+    """Whether it was first hashed before its import, by a run perhaps, when nothing is known of what it reads."""
 
 
 _IMPORTED: dict[str, Imported] = {}
@@ -123,7 +126,8 @@ def _as_imported(name: str, file: Path) -> Imported:
     known = _IMPORTED.get(name)
     if known is None or known.spec is not spec or spec is None:
         source = spec.loader.source if spec and isinstance(spec.loader, OwnLoader) else file.read_bytes()
-        known = Imported(spec, (spec and _edited_code(spec, file, source)) or source, source)
+        is_late = spec is None if known is None else known.is_late
+        known = Imported(spec, (spec and _edited_code(spec, file, source)) or source, source, is_late)
         _IMPORTED[name] = known
     return known
 
