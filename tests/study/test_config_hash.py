@@ -471,19 +471,23 @@ def test_what_is_imported_by_a_text_counts(tmp_path, monkeypatch, code, place):
     assert found[0] == found[1] != found[2]
 
 
-def test_a_relative_name_that_is_imported_by_a_text_counts(tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("name", "near"), [(".near", "group/inner/near"), ("..near", "group/near"), (".{}", "group/inner/near")]
+)
+def test_a_relative_name_that_is_imported_by_a_text_counts(tmp_path, monkeypatch, name, near):
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(sys, "dont_write_bytecode", True)
-    (tmp_path / "group").mkdir()
-    source = "from importlib import import_module\n\ndef rule(me):\n    return import_module('.near', __package__)\n"
-    (tmp_path / "group" / "mine.py").write_text(source)
+    (tmp_path / "group" / "inner").mkdir(parents=True)
+    call = f"import_module('{name}'.format('near'), __package__)"
+    source = f"from importlib import import_module\n\ndef rule(me):\n    return {call}\n"
+    (tmp_path / "group" / "inner" / "mine.py").write_text(source)
     found = []
     for text in ("GAIN = 1", "GAIN = 2"):
-        (tmp_path / "group" / "near.py").write_text(text)
+        (tmp_path / near).with_suffix(".py").write_text(text)
         invalidate_caches()
-        found.append(stable_hash(import_module("group.mine").rule))
-        for name in ("group", "group.mine"):
-            sys.modules.pop(name)
+        found.append(stable_hash(import_module("group.inner.mine").rule))
+        for module in ("group", "group.inner", "group.inner.mine"):
+            sys.modules.pop(module)
     assert found[0] != found[1]
 
 

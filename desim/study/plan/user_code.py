@@ -218,8 +218,15 @@ def _imported(source: bytes, package: str) -> frozenset[str]:
         elif isinstance(node, ast.Call) and importing_call(node):
             constants = (part.value for part in ast.walk(node) if isinstance(part, ast.Constant))
             texts = [text for text in constants if isinstance(text, str)]
-            names.update(names_in_texts(f"{package}{text}" if text.startswith(".") else text for text in texts))
+            names.update(names_in_texts(_absolute(text, package) for text in texts))
     return frozenset(names)
+
+
+def _absolute(text: str, package: str) -> str:
+    """Return a text that names a module, or begins such a name, without the dots by which it is relative."""
+    name = text.lstrip(".")
+    dots = len(text) - len(name)
+    return f"{package.rsplit('.', dots - 1)[0]}.{name}" if dots else text
 
 
 def names_in_texts(texts: Iterable[str]) -> Iterator[str]:
