@@ -1,4 +1,4 @@
-"""Whole runs in other units and turned: the same events at the same times, whatever kinds are combined.
+"""Whole runs in other units, moved and turned: the same events at the same times, whatever kinds are combined.
 
 The units are those that the descriptions of the keys state. So a unit that is wrong, and a length or a time that is
 hidden in the code, show as another run. The scenarios are those of `tests/test_soak.py`, in which anything may break.
@@ -7,6 +7,7 @@ hidden in the code, show as another run. The scenarios are those of `tests/test_
 from cmath import phase, rect
 from typing import get_args, get_type_hints
 
+import numpy as np
 import pytest
 
 from desim import Scenario, run
@@ -268,26 +269,32 @@ def test_a_length_that_is_not_scaled_shows_as_another_history():
             assert differs(history(scenario), history(scenario.model_copy(update={"capture": capture}))) is not None
 
 
-POINTS = {"Team.positions", "Evader.position", "Jamming.centre", "AffineFlow.centre"}
+POINTS = {
+    *("Team.positions", "Evader.position", "Jamming.centre", "AffineFlow.centre", "RecordedMotion.waypoints"),
+    *("Wall.line", "Wall.polygon"),
+}
 VECTORS = {"SteadyFlow.velocity", "AffineFlow.velocity", "HarmonicFlow.velocity", "HarmonicFlow.amplitude"}
 
 
-def turned(scenario):
-    """Return a scenario that is turned about the origin by a right angle to the left."""
+def moved(scenario, turn=1.0, shift=0.0, mirrored=False):
+    """Return a scenario that is mirrored at the x axis if so asked, then turned about the origin, then shifted."""
 
-    def turn(vector):
+    def coordinates(vector, offset):
         x, y = vector
-        return [-y, x]
+        place = turn * complex(x, -y if mirrored else y) + offset
+        return [place.real, place.imag]
 
     def convert(owner, name, value):
         key = f"{type(owner).__name__}.{name}"
-        if key in POINTS | VECTORS:
-            return turn(value) if isinstance(value[0], float) else [turn(each) for each in value]
+        offset = shift if key in POINTS else 0.0
         if key in ROWS:
-            return [[t, *turn(vector)] for t, *vector in value]
+            return [[t, *coordinates(vector, offset)] for t, *vector in value]
+        if key in POINTS | VECTORS:
+            is_one = isinstance(value[0], float)
+            return coordinates(value, offset) if is_one else [coordinates(each, offset) for each in value]
         if key in {"ConstantHeading.angle", "TurnRate.heading"}:
-            return phase(1j * rect(1.0, value))
-        return value
+            return phase(turn * rect(1.0, -value if mirrored else value))
+        return -value if key == "AffineFlow.rotation" and mirrored else value
 
     return Scenario.model_validate(table_of(scenario, convert))
 
@@ -330,4 +337,71 @@ def test_a_world_that_is_turned_has_the_same_history(seed, monkeypatch):
     plain, headings = evasion.random_heading, TurnRate.headings
     monkeypatch.setattr(evasion, "random_heading", lambda rng: 1j * plain(rng))
     monkeypatch.setattr(TurnRate, "headings", lambda *call: [1j * each for each in headings(*call)])
-    assert differs(before, history(turned(scenario)), tolerance=10.0) is None
+    assert differs(before, history(moved(scenario, turn=1j)), tolerance=10.0) is None
+
+
+WALLS = [
+    {"polygon": [[2.0, 2.0], [3.1, 2.2], [3.0, 3.3], [1.9, 3.0]], "blocks": ["motion", "sight", "radio"], "loss": 6.0},
+    {"polygon": [[6.1, 6.3], [8.2, 6.1], [7.9, 7.7]], "blocks": ["motion", "sight"]},
+    {"line": [[4.1, 0.3], [4.4, 2.9], [6.3, 2.2]], "blocks": ["motion"]},
+]
+HARMONIC = {"kind": "harmonic", "velocity": [0.2, 0.3], "amplitude": [0.1, -0.2], "period": 3.0, "phase": 0.4}
+AFFINE = {"kind": "affine", "velocity": [0.1, 0.2], "expansion": -0.05, "rotation": 0.3, "centre": [3.0, 4.0]}
+ANYWHERE = {
+    "walls": {"wall": WALLS, "evader.strategy": {"kind": "weighted_flee"}},
+    "walls, simultaneous": {"wall": WALLS, "motion.order": "simultaneous", "protocol": {"kind": "sap"}},
+    "wind": {"environment": {"flow": HARMONIC, "on": "pursuers"}, "team.guidance": {"kind": "constant_bearing"}},
+    "a whirl": {"environment": {"flow": AFFINE, "on": "all"}, "evader.strategy": {"kind": "listener"}},
+    "accelerations": {"team.dynamics": {"kind": "acceleration"}, "evader.dynamics": {"kind": "acceleration"}},
+    "turns": {"team.dynamics": {"kind": "turn_rate", "heading": 0.3}, "capture.radius": 0.3},
+    "out of sight": {"sensing.radius": 3.0, "sensing.estimate": "constant_velocity", "protocol": {"kind": "local_min"}},
+    "out of range": {"network.range": 5.0, "evader.strategy": {"kind": "constant_heading", "angle": 0.4}},
+    "announced": {"announce.payload": "state", "network.latency": 0.1, "evader.strategy.flees_from": "active"},
+    "two evaders": {"evader": [{"position": [5.0, 4.0]}, {"position": [1.0, 9.0], "strategy": {"kind": "still"}}]},
+}
+"""Features of a pursuit, with shapes and directions in the plane."""
+
+
+def anywhere(changes, seed=3):
+    """Return a pursuit by four pursuers at given places, with some features."""
+    places = np.random.default_rng(seed).uniform(0.0, 10.0, (4, 2)).tolist()
+    plain = {"team.count": 4, "team.speeds": [1.5, 2.0, 1.8, 2.2], "team.positions": places, "horizon": 15.0}
+    plain |= {"motion.step": 0.05, "record.trajectory": 0.0, "protocol": {"kind": "best_response"}}
+    return Scenario().with_(plain | ({} if "evader" in changes else {"evader.position": [5.0, 4.5]}) | changes)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ANYWHERE)
+def test_a_pursuit_that_is_shifted_turned_or_mirrored_has_the_same_history(name):
+    """Captures and decisions come at the same times, wherever corners of walls and winds point to."""
+    scenario = anywhere(ANYWHERE[name])
+    before = history(scenario)
+    assert any(event == "Captured" for event, *_ in before)
+    for move in (
+        {"shift": 137.25 - 77.5j},
+        {"turn": rect(1.0, 0.7)},
+        {"turn": rect(1.0, -2.0), "shift": 3.0 + 1j, "mirrored": True},
+    ):
+        assert differs(before, history(moved(scenario, **move)), tolerance=50.0) is None, move
+
+
+@pytest.mark.whole_but_one
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["centralised", "argmin", "voronoi"])
+def test_the_order_of_a_team_has_no_effect_where_no_draw_depends_on_it(kind):
+    order = [2, 0, 3, 1]
+    for name, changes in ANYWHERE.items():
+        if name.startswith("walls") and kind == "voronoi":
+            continue  # refused
+        one = anywhere(changes | {"protocol": {"kind": kind}, "team.active_at_start": 1.0})
+        places, speeds = one.team.positions, one.team.all_speeds()
+        other = one.with_(
+            {"team.positions": [list(places[i]) for i in order], "team.speeds": [speeds[i] for i in order]}
+        )
+        captures = [
+            [(event.t, event.evader, numbers[event.capturer]) for event in run(made).trace.of(Captured)]
+            for made, numbers in ((one, range(4)), (other, order))
+        ]
+        assert captures[0], name
+        for (t, *who), (s, *whom) in zip(*captures, strict=True):
+            assert (who, t) == (whom, pytest.approx(s, abs=50)), name

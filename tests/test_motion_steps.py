@@ -1,12 +1,14 @@
 """How runs depend on the motion step: what holds at any step, and what needs a short one."""
 
-from cmath import rect
-from math import pi
+from cmath import phase, rect
+from math import cos, inf, pi
 
 import numpy as np
 import pytest
 
 from desim import Scenario, run, summary
+from desim.kernel.core.units import SECOND
+from desim.pursuit.core.events import Sampled
 from desim.pursuit.core.state import complex_points
 
 SPEED, EVADER_SPEED, RADIUS = 2.0, 0.9, 0.09
@@ -80,3 +82,63 @@ def test_pure_evasion_from_one_pursuer_is_exact_at_any_step(order):
     for factor in (0.5, 2.0, 8.0):
         made = pursuit("pure_evasion", order, factor * RADIUS / EVADER_SPEED, count=1)
         assert summary(run(made, 0)).end_time == pytest.approx(bound(made, 0), abs=1e-6)
+
+
+WIND = {"kind": "harmonic", "velocity": [0.2, 0.3], "amplitude": [0.3, -0.2], "period": 3.0}
+REFINED = {
+    "pure pursuit": ({}, 1),
+    "constant bearing": ({"team.guidance": {"kind": "constant_bearing"}}, inf),
+    "wind": ({"environment": {"flow": WIND, "on": "pursuers"}}, 1),
+    "bearing in wind": (
+        {"environment": {"flow": WIND, "on": "pursuers"}, "team.guidance": {"kind": "constant_bearing"}},
+        2,
+    ),
+    "gyre": ({"environment.flow": {"kind": "gyre", "speed": 0.5, "size": 3.0}}, 1),
+    "accelerations": ({"team.dynamics": {"kind": "acceleration", "limit": 2.0}}, 1),
+    "turns": ({"team.dynamics": {"kind": "turn_rate", "limit": 3.0, "heading": 0.3}}, 1),
+    "walls": ({"wall": [{"polygon": [[1.0, 2.0], [3.0, 2.2], [2.0, 3.3]], "blocks": ["motion"]}]}, 1),
+}
+"""Features of a chase, each with the order in h of its errors if the evader moves first."""
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("name", REFINED)
+def test_capture_times_converge_to_one_limit_in_both_orders(name):
+    """With errors of order h; where a pursuer that knows its evader's velocity meets it, of order h^2, or none."""
+    changes, order = REFINED[name]
+    steps = (0.02, 0.01, 0.005)
+    plain = {"team.positions": [[0.0, 0.0]], "evader.position": [3.0, 4.0], "capture.radius": 0.1}
+    times = {}
+    for first in ("evader_first", "simultaneous"):
+        chased = [pursuit({"kind": "constant_heading", "angle": 2.5}, first, step, count=1) for step in steps]
+        times[first] = [summary(run(made.with_(plain | changes), 0)).end_time for made in chased]
+    coarse, middle, fine = times["evader_first"]
+    if order == inf:
+        assert coarse == pytest.approx(fine, abs=1e-8)
+    else:
+        assert (coarse - middle) / (middle - fine) == pytest.approx(2.0**order, rel=0.1)
+    limits = [2.0 * fine - middle for _, middle, fine in times.values()]
+    assert limits[0] == pytest.approx(limits[1], abs=2e-5)
+    assert abs(times["evader_first"][2] - times["simultaneous"][2]) > 1e-4  # the limits are much closer
+
+
+def test_a_pursuit_curve_ends_when_it_should():
+    """Of pure pursuit of a straight runner, d (v + v_e cos a) decreases at the rate v^2 - v_e^2 (Bouguer 1732).
+
+    Here d is the distance, and a the angle between the velocity of the evader and the line of sight.
+    """
+
+    def invariant(gap, heading):
+        return abs(gap) * (SPEED + EVADER_SPEED * cos(phase(heading / gap)))
+
+    errors = []
+    for step in (0.02, 0.01):
+        heading = rect(1.0, 2.5)
+        made = pursuit({"kind": "constant_heading", "angle": 2.5}, "evader_first", step, count=1)
+        places = {"team.positions": [[0.0, 0.0]], "evader.position": [3.0, 4.0], "record.trajectory": 0.1}
+        last = run(made.with_(places), 0).trace.of(Sampled)[-1]
+        gap = complex(*last.evaders[0]) - complex(*last.pursuers[0])
+        assert abs(gap) == pytest.approx(RADIUS, abs=1e-8)
+        fallen = invariant(3 + 4j, heading) - invariant(gap, heading)
+        errors.append(last.t / SECOND - fallen / (SPEED**2 - EVADER_SPEED**2))
+    assert abs(2.0 * errors[1] - errors[0]) < 5e-5 < 1e-3 < abs(errors[1])
