@@ -15,6 +15,7 @@ from desim.pursuit.core.events import Captured, Sampled
 from desim.view.formats.foxglove import SHOWN, TOPICS, write
 from desim.view.formats.foxglove_schemas import SCHEMAS
 from desim.view.headings import Headings
+from tests.golden import golden
 from tests.view.by_hand import MS, history, pair
 
 TYPES = {"number": (int, float), "integer": int, "string": str, "boolean": bool}
@@ -64,6 +65,17 @@ def exported(tmp_path):
         return found
 
     return export
+
+
+@pytest.mark.parametrize("run", [history, pair])
+def test_the_messages_of_a_file_are_golden(exported, run):
+    """With the sizes, colours and widths of what is drawn, which no schema bounds."""
+    result = run()
+    found = exported(result, knowledge(result))
+    golden(
+        f"foxglove/{run.__name__}.txt",
+        {topic: "\n".join(f"{t} {json.dumps(content)}" for t, content in found[topic]) for topic in sorted(found)},
+    )
 
 
 def test_the_frames_of_the_players_are_at_the_recorded_positions(exported):
