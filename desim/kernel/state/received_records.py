@@ -170,7 +170,6 @@ class Records:
         self._scheduled += count
         if self._scheduled >= self._merge_interval:
             self._scheduled, now = 0, self._env.now
-            self._shared.apply_arrived(now)
             for node, unread in enumerate(self._own.unread):
                 if len(unread) > MAX_UNREAD:
                     self._own.merge(node, now)
