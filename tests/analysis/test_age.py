@@ -243,6 +243,21 @@ def test_a_record_that_a_liar_forwards_counts_from_its_first_message(is_framed):
     assert pair(by_hand((True,) * 3, 5.0, lie, relay, fault=(skew,)), reader=2)[0] == 1.25  # it may be forged
 
 
+@pytest.mark.parametrize("source", [3, 4, 1000])
+@pytest.mark.parametrize("fault", [(), (ClockSkew(node=0, offset=5.0, drift=0.5),)], ids=["exact", "skewed"])
+@pytest.mark.parametrize("is_framed", [False, True], ids=["in a message", "in a frame of a transport"])
+def test_a_record_of_a_source_that_does_not_exist_changes_nothing(source, fault, is_framed):
+    """A forger may pass on records of node 3 and later ones among the nodes 0 to 2."""
+    forged, genuine = Record(source, 1, ns(1.0), ACTIVE), Record(0, 1, ns(2.0), ACTIVE)
+    relays = []
+    for records in ((genuine,), (forged, genuine)):
+        frame = CodedPiece("", False, 0, 1, 1, Forwarded(records))
+        framed = [Sent(ns(2.0), 0, 1, 2, ns(2.5), ns(2.0), 24, frame)] if is_framed else []
+        relays.append([*framed, forwarded(1, 2, 2.5, 3.0, *records, transmission=1)])
+    without, with_forged = (knowledge(by_hand((True,) * 3, 5.0, *events, fault=fault)) for events in relays)
+    assert with_forged.tolist() == without.tolist()
+
+
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize("model", LIES)
 @pytest.mark.parametrize("dissemination", ["one_hop", "flooding", "gossip", "reliable"])

@@ -86,11 +86,11 @@ def still(phi, *rest, every=None, **options):
 
 
 def test_a_pursuer_that_stands_still_keeps_its_heading():
-    """It goes outwards at 1 m/s for a second, is at rest for a second, and goes back at 0.5 m/s."""
+    """It goes outwards at 1 m/s for a second, is at rest for a second, and goes back at 0.5 m/s to the last sample."""
     result = by_hand((3.0,), (True,), [], 4.0, frozen=False, samples=enumerate([(3.0,), (4.0,), (4.0,), (3.5,)]))
-    courses = _Path(result, 1).courses(np.array([0.5, 1.5, 2.5]) * SECOND)
-    assert [course.velocities.tolist() for course in courses] == [[1.0], [0.0], [-0.5]]
-    assert [course.headings.tolist() for course in courses] == [[1.0], [1.0], [-1.0]]
+    courses = _Path(result, 1).courses(np.array([0.5, 1.5, 2.5, 3.0, 4.0]) * SECOND)
+    assert [course.velocities.tolist() for course in courses] == [[1.0], [0.0], [-0.5], [0.0], [0.0]]
+    assert [course.headings.tolist() for course in courses] == [[1.0], [1.0], [-1.0], [-1.0], [-1.0]]
 
 
 GAME = ((1.0, 2.0, 4.0), (True,) * 3, [(1.0, 2, False), (2.0, 1, False), (4.0, 0, False), (5.0, 1, True)], 6.0)
