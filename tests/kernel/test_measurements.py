@@ -390,6 +390,17 @@ def test_a_loss_is_a_probability_and_a_signal_is_in_decibels(read, model, cell, 
         read(f"t,value\n0,{cell}\n", model)
 
 
+@pytest.mark.parametrize("column", ["src", "dst"])
+def test_the_largest_number_of_a_node_is_that_of_32_bits(read, column):
+    """The number of a link is made of two such numbers, in 64 bits."""
+    text = "t,src,dst,value\n0,{},{},0.5\n"
+    numbers = {"src": 0, "dst": 1}
+    read(text.format(*(numbers | {column: 2**31 - 1}).values()))
+    for number in (2**31, 2**31 + 1):
+        with pytest.raises(ValueError, match=rf"{column} should be the number of a node, 0 or more \(got '{number}'\)"):
+            read(text.format(*(numbers | {column: number}).values()))
+
+
 @pytest.mark.parametrize(
     ("name", "why"),
     [

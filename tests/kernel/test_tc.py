@@ -656,6 +656,8 @@ def test_a_name_that_a_shell_or_linux_does_not_take_is_refused(device):
         ("add parent 5:1 netem; add parent 5:2 netem; del parent 5:1; add parent 5:1 netem delay 50ms", None),
         ("add parent 5:1 netem; add parent 5:2 netem delay 50ms; change parent 5:1 netem delay 50ms", 0.05),
         ("add parent 5:1 netem; add parent 5:2 netem; del root; add root netem delay 50ms", 0.05),
+        ("add parent 5:1 netem; add parent 5:2 netem; del parent 5:1; del parent 5:2; add root netem delay 50ms", 0.05),
+        ("add parent 5:1 netem; add parent 5:2 netem delay 50ms; del parent 5:1; add root netem delay 50ms", 0.05),
     ],
 )
 def test_each_class_of_a_device_has_a_discipline_of_its_own(commands, delay):

@@ -779,6 +779,14 @@ LONG = [
 ]
 
 
+@pytest.mark.parametrize(
+    ("mean", "share"), [(29.9, "more than a tenth of"), (30.0, "not less than"), (31.0, "not less than")]
+)
+def test_a_mean_latency_is_compared_with_the_horizon(mean, share):
+    why = f"the mean latency of {mean:g} s is {share} the horizon of 30 s: times are in s, not ms"
+    assert warned(network={"latency": mean}) == [("network.latency", why)]
+
+
 @pytest.mark.parametrize(("key", "given", "mean"), LONG)
 def test_a_mean_latency_above_a_tenth_of_the_horizon_is_warned_of(key, given, mean):
     """The default horizon is 30 s; the same latency is not warned of in a run that is ten times as long."""
