@@ -145,6 +145,20 @@ def test_what_a_check_tries_is_golden(name, monkeypatch):
 
 
 @pytest.mark.slow
+def test_a_body_is_asked_about_pursuers_that_are_slower_as_fast_and_faster_than_the_evader(monkeypatch):
+    """The evader has 0.9 m/s."""
+    speeds, times = set(), Acceleration.capture_times
+
+    def noting(body, offsets, courses, pursuer_speeds, evader_speed, radius):
+        speeds.update((speed, len(offsets)) for speed in pursuer_speeds.tolist())
+        return times(body, offsets, courses, pursuer_speeds, evader_speed, radius)
+
+    monkeypatch.setattr(Acceleration, "capture_times", noting)
+    check_body(Acceleration())
+    assert {speed for speed, count in speeds if count == 8} == {0.5, 0.9, 1.0, 1.5, 2.0, 3.0}
+
+
+@pytest.mark.slow
 def test_a_strategy_is_asked_about_each_number_of_pursuers_heading_and_handover(monkeypatch):
     """The time since the last choice is 0 while there is none; a pursuer may be where the evader is."""
     seen, observation = [], evaders._Case.observation

@@ -383,6 +383,40 @@ def test_a_latency_in_milliseconds_gives_a_warning():
         check_latency(Milliseconds())
 
 
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize(("latency", "is_told"), [(9.99, False), (10.0, True)])
+def test_a_warning_tells_of_a_mean_latency_of_10_s_or_more(latency, is_told, recwarn):
+    check_latency(Constant(value=latency), nodes=2, draws=2)
+    assert [str(warning.message).split(".")[0] for warning in recwarn] == [
+        "Constant: the mean latency is 10 s"
+    ] * is_told
+
+
+class Times(Value):
+    """A model of links that keeps the time of each call."""
+
+    reply: float | bool
+
+    def __call__(self, context, rng):
+        times.append(round(context.now, 9))
+        return self.reply
+
+
+times = []
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize(
+    ("check", "reply", "steps"), [(check_latency, 0.1, {0.0, 0.01}), (check_loss, False, {0.003333333, 0.01})]
+)
+def test_the_calls_of_a_check_are_some_milliseconds_apart(check, reply, steps, monkeypatch):
+    """The state of a model that depends on the time changes between two messages, and not in each of them."""
+    times.clear()
+    monkeypatch.setattr(links, "_run", lambda *_, **__: None)
+    check(Times(reply=reply), nodes=2, draws=4)
+    assert {round(float(step), 9) for step in np.diff(times) if step >= 0.0} == steps
+
+
 @pytest.mark.whole
 def test_the_checks_accept_the_right_models_from_which_the_wrong_ones_differ():
     with warnings.catch_warnings():
