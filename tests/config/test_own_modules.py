@@ -13,6 +13,7 @@ from multiprocessing import get_context
 import pytest
 
 from desim import load, run, summary, sweep
+from desim.config import named_code
 from desim.config.choice import OneOf
 from desim.config.named_code import load_named
 from desim.config.own_modules import _Finder, find_own_modules, folder_in_name, module_beside, plain_name
@@ -324,6 +325,26 @@ def test_an_exception_at_the_import_is_told_with_the_file_and_the_line_that_rais
         loaded(folders[0])
     assert isinstance(refused.value.__cause__.__cause__, cause)
     assert len(str(refused.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize("line", NAMES_CODE.values(), ids=NAMES_CODE)
+def test_an_exception_in_a_module_that_the_named_one_imports_is_told_with_its_own_line(folders, line):
+    (folders[0] / "raises.py").write_text("import broken")
+    file = folders[0] / "broken.py"
+    file.write_text("import math\n\nmath.sqrt(-1.0)")
+    (folders[0] / "s.toml").write_text(line.format("raises"))
+    with pytest.raises(ScenarioError, match=rf"math domain error \({re.escape(str(file))}, line 3\)"):
+        loaded(folders[0])
+
+
+def test_an_exception_in_an_installed_module_is_told_with_its_line(folders, monkeypatch):
+    """Installed modules are not of the user, but the one that is named is told all the same."""
+    file = folders[0] / "raises.py"
+    file.write_text("\n1 / 0")
+    (folders[0] / "s.toml").write_text(NAMES_CODE["a metric"].format("raises"))
+    monkeypatch.setattr(named_code, "is_of_user", lambda frame: False)
+    with pytest.raises(ScenarioError, match=rf"division by zero \({re.escape(str(file))}, line 2\)"):
+        loaded(folders[0])
 
 
 def test_an_installed_kind_that_raises_at_its_import_is_refused_too(folders, monkeypatch):
