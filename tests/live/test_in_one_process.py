@@ -531,6 +531,9 @@ def test_sockets_are_made_in_the_namespace_and_the_process_returns(monkeypatch, 
     with namespaces.within_namespace(""):
         pass
     assert entered == [there, home, there]
+    for number in opened:
+        with pytest.raises(OSError, match="Bad file descriptor"):
+            os.fstat(number)
 
 
 def test_an_interrupt_in_a_notebook_ends_the_run_before_it_is_raised():

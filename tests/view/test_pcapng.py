@@ -13,7 +13,7 @@ from desim import summary
 from desim.kernel.core.events import Broadcast, MessageCounts, Sent
 from desim.kernel.core.trace_file import body_json
 from desim.kernel.core.units import SECOND
-from desim.view.formats.pcapng import HEADERS, MAX_PAYLOAD, PORT, Pcapng
+from desim.view.formats.pcapng import HEADERS, MAX_PAYLOAD, Pcapng
 from tests.view.by_hand import history
 
 IP, UDP = scapy.layers.inet.IP, scapy.layers.inet.UDP
@@ -83,7 +83,7 @@ def test_a_packet_is_a_valid_datagram_with_the_content_in_its_comment(tmp_path):
         again = packet[IP].copy()
         del again.chksum
         assert IP(bytes(again)).chksum == checksum
-        assert (packet[UDP].sport, packet[UDP].dport) == (PORT, PORT)
+        assert (packet[UDP].sport, packet[UDP].dport) == (49152, 49152)  # the first that nobody can register (RFC 6335)
         assert packet[IP].len == packet[UDP].len + 20 == size + HEADERS
         assert bytes(packet[UDP].payload) == bytes(size)
     assert Counter(packet[IP].id for packet in packets) == {0: 2, 1: 1, 3: 2}

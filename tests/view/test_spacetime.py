@@ -14,7 +14,8 @@ from desim.kernel.models.faults import Partition
 from desim.kernel.models.traced_faults import FaultStarted, Misbehaviour
 from desim.pursuit.core.events import Decided
 from desim.simulation.run import Result
-from desim.view.pictures.spacetime import MAX_DENSITY, spacetime
+from desim.view.pictures import spacetime as spacetime_module
+from desim.view.pictures.spacetime import MAX_DENSITY, _busiest, spacetime
 from tests.view.by_hand import ACTIVE, MS, history
 
 
@@ -65,6 +66,14 @@ def test_a_liar_that_is_not_drawn_is_no_shade():
     hidden = [text.get_text() for text in spacetime(liars, pursuers=(0, 2)).axes[0].texts]
     assert "liar 1" in shown
     assert "liar 1" not in hidden
+
+
+@pytest.mark.parametrize(("limit", "rows"), [(3, 3), (2, 1)])
+def test_of_more_pursuers_than_the_limit_only_the_busiest_are_drawn(limit, rows, monkeypatch):
+    """The run has 3 pursuers."""
+    monkeypatch.setattr(spacetime_module, "MAX_SHOWN", limit)
+    monkeypatch.setattr(spacetime_module, "BUSIEST", 1)
+    assert len(_busiest(history())) == rows
 
 
 def test_a_title_says_which_part_of_the_run_is_drawn():
