@@ -86,13 +86,11 @@ class OwnBodies:
         )
 
     def _parts(self, value: Any) -> Iterable[Any]:
-        """Return the items of a named tuple, or the fields of a dataclass.
+        """Return the fields of a named tuple or a dataclass.
 
         Raise WireError if a field has no value, or an attribute is no field.
         """
-        if isinstance(value, tuple):
-            return value
-        names = [field.name for field in fields(value)]
+        names = [field.name for field in fields(value)] if is_dataclass(value) else value._fields
         others = [
             name
             for name in getattr(value, "__dict__", ())

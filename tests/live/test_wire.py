@@ -270,6 +270,14 @@ def computed():
     return body
 
 
+class NamedWithMore(NamedTuple("Priced", [("price", float)])):
+    """A named tuple whose objects may have attributes."""
+
+
+NAMED_WITH_MORE = NamedWithMore(1.0)
+NAMED_WITH_MORE.twice = 2.0
+
+
 @dataclass
 class WithMore:
     price: float
@@ -303,12 +311,13 @@ def test_a_body_of_a_user_arrives_as_it_was_sent(body):
     ("body", "why"),
     [
         (WithMore(1.0), "WithMore cannot be sent live: it has the attribute twice, which is no field"),
+        (NAMED_WITH_MORE, "NamedWithMore cannot be sent live: it has the attribute twice, which is no field"),
         (Empty(), "Empty cannot be sent live: its field price has no value"),
         (2**70, "int cannot be sent live: can't serialize ints"),
         ("a\ud800", "str cannot be sent live: 'utf-8' codec"),
         (reduce(lambda inner, _: [inner], range(3000), 1), "list cannot be sent live: it is nested too deeply"),
     ],
-    ids=["attribute", "no value", "large", "half of a character", "deep"],
+    ids=["attribute", "attribute of a named tuple", "no value", "large", "half of a character", "deep"],
 )
 def test_a_body_that_would_not_arrive_as_it_is_is_refused_when_it_is_sent(body, why):
     pytest.importorskip("msgspec")
