@@ -24,8 +24,10 @@ from desim.config.errors import KeyedError
 from desim.config.model import Value
 from desim.config.traits import is_ours, positions
 from desim.kernel.clock_sync import CLOCK_SYNCS
+from desim.kernel.core import link_context
 from desim.kernel.core.clock import Phase
 from desim.kernel.core.events import MessageCounts
+from desim.kernel.core.link_context import CalledModels
 from desim.kernel.measured.models import LatencyTrace, LossTrace, SignalTrace
 from desim.kernel.models.access import ACCESSES, Aloha
 from desim.kernel.models.fault_plans import FAULTS
@@ -625,6 +627,18 @@ def test_a_model_that_another_model_calls_has_the_state_of_the_run(kind, way):
     assert events(one) == events(other)
     if name == "loss":
         assert events(linked(loss=theirs, duplicate=theirs)) == events(linked(loss=model, duplicate=model))
+
+
+def test_only_so_many_called_models_are_kept(monkeypatch):
+    """A run keeps the models that it calls often, also if it creates others meanwhile."""
+    monkeypatch.setattr(link_context, "MOST", 5)
+    called, rng = CalledModels(4), np.random.default_rng(0)
+    often = GilbertElliott()
+    first = called.of_run(often, GilbertElliott.start_run, rng)
+    for _ in range(20):
+        called.of_run(GilbertElliott(), GilbertElliott.start_run, rng)
+        assert called.of_run(often, GilbertElliott.start_run, rng) is first
+    assert len(called._started) == 5
 
 
 UNCALLED = [

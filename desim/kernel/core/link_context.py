@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 from desim.kernel.core.positions import PositionFunction, as_position_source, distances_from
 from desim.kernel.core.seeds import pair_uniform
 
+MOST = 10_000
+"""Number of called models that are kept: a model that creates another one for each message calls ever new ones."""
+
 
 class CalledModels:
     """The models of one run that are not those of a link themselves, but are called by these.
@@ -26,9 +29,11 @@ class CalledModels:
     def of_run(self, model: Any, start_run: Callable[[Any, int], Any], rng: np.random.Generator) -> Any:
         """Return what `start_run(model, size)` has returned at the first call for this model and this generator."""
         key = id(model), id(rng)
-        if key not in self._started:
-            self._started[key] = model, rng, start_run(model, self._size)
-        return self._started[key][2]
+        started = self._started.pop(key, None) or (model, rng, start_run(model, self._size))
+        self._started[key] = started  # the last one of those that are kept
+        if len(self._started) > MOST:
+            del self._started[next(iter(self._started))]
+        return started[2]
 
 
 @dataclass(slots=True)
