@@ -28,6 +28,8 @@ from desim import (
     Scenario,
     Sensing,
     Team,
+    fatal_losses,
+    find_violation,
     load,
     run,
     summary,
@@ -68,6 +70,7 @@ from desim.pursuit.team.trust import Accusations, Credulous
 from desim.results.run_folder import read, write
 from desim.scenario.checks import warnings
 from desim.scenario.overrides import ScenarioError
+from desim.study.workers.batch import run_many
 from desim.testing import watched
 from desim.view.pages.replay import replay_page
 from protocols.temperature import inverse_temperatures
@@ -540,6 +543,26 @@ class Asynchronous:
 def test_a_watcher_that_would_do_nothing_is_refused(watcher):
     with pytest.raises(ValueError, match=r"a watcher should (have `def` in|do its work when)"):
         run(scenario(), 1, watcher)
+
+
+@pytest.mark.parametrize(
+    ("name", "call"),
+    {
+        "on_run": lambda function: fatal_losses(Scenario(), "idle at most 2 in total", on_run=function),
+        "on_case": lambda function: find_violation(Scenario(), "idle at most 2 in total", on_case=function),
+        "on_done": lambda function: run_many([(Scenario(), 1)], on_done=function),
+        "measure": lambda function: run_many([(Scenario(), 1)], measure=function),
+    }.items(),
+)
+def test_a_function_that_a_study_calls_is_checked_before_any_run(name, call):
+    for wrong, why in (
+        (lambda one, two, three: None, "should accept a call"),
+        (lambda *given, key: None, "should accept a call"),
+        (Asynchronous(), "should have `def` in place of `async def`"),
+        (lambda *given: (yield), "should do its work when it is called"),
+    ):
+        with pytest.raises(ValueError, match=f"^{name} {why}"):
+            call(wrong)
 
 
 @pytest.mark.parametrize("name", CASES)

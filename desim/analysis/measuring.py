@@ -10,7 +10,7 @@ from typing import Any
 from desim.analysis.metrics import METRICS, Metric, Summary
 from desim.analysis.trace_index import trace_index
 from desim.config.arguments import naming_arguments, run_argument, value_text
-from desim.config.calls import check_argument, check_at_once
+from desim.config.calls import check_action
 from desim.config.errors import MetricError, NoMetricError
 from desim.config.fresh import fresh_copy
 from desim.config.python_numbers import as_python
@@ -99,8 +99,7 @@ def users_metrics(named: Sequence[NamedMetric], more: Metrics = MappingProxyType
         if not callable(of) or isinstance(of, type):
             raise ValueError(f"metric {name!r} should be a function of a result, got {value_text(of)}")
         function = of.of if isinstance(of, Metric) else of
-        check_argument(function, ("result",), f"metric {name!r}")
-        check_at_once(function, f"metric {name!r} ")
+        check_action(function, ("result",), f"metric {name!r}")
         if (other := next((earlier for earlier in metrics if earlier.lower() == key), name)) != name:
             raise ValueError(f"metric {name!r} should have another name: it differs from {other!r} only in case")
         metric = of if isinstance(of, Metric) else Metric(of)

@@ -63,6 +63,12 @@ def check_argument(function: Any, takes: Sequence[str], name: str) -> None:
     check_call(function, takes, function, whose=f"{name} ")
 
 
+def check_action(function: Any, takes: Sequence[str], name: str) -> None:
+    """Raise ValueError if an argument is no function that does its work when it is called; see `check_argument`."""
+    check_argument(function, takes, name)
+    check_at_once(function, f"{name} ")
+
+
 def check_at_once(function: Callable[..., Any], whose: str = "") -> None:
     """Raise AnswerError if a function would do nothing when it is called, because it is a generator."""
     if any(map(isgeneratorfunction, _called_functions(function))):

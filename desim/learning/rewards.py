@@ -16,7 +16,7 @@ import numpy as np
 from desim.config.answers import wrong_answer
 from desim.config.arguments import value_text
 from desim.config.arrays import array_of
-from desim.config.calls import check_argument, check_at_once
+from desim.config.calls import check_action
 from desim.pursuit.game.game import gain, welfare
 
 
@@ -92,8 +92,7 @@ def reward_named(reward: Any) -> Reward:
         ValueError: if there is no such reward.
     """
     if callable(reward):
-        check_argument(reward, ("step",), "a reward")
-        check_at_once(reward, "a reward ")
+        check_action(reward, ("step",), "a reward")
         function: Reward = reward
         return function
     if not isinstance(reward, str) or reward not in REWARDS:

@@ -6,7 +6,7 @@ from typing import Any
 import simpy
 
 from desim.config.arguments import value_text
-from desim.config.calls import check_argument, check_at_once
+from desim.config.calls import check_action
 from desim.config.python_numbers import real
 from desim.config.traits import OURS, module_of
 from desim.kernel.core.clock import Clock, Instant, NodeClock, Phase
@@ -141,8 +141,7 @@ class Timing:
         if not callable(act):
             raise ValueError(f"pursuer {self.id}: after: act should be a function (got {value_text(act)})")
         if module_of(act).partition(".")[0] not in OURS:
-            check_argument(act, (), f"pursuer {self.id}: after: act")
-            check_at_once(act, f"pursuer {self.id}: after: act ")
+            check_action(act, (), f"pursuer {self.id}: after: act")
         restarts_before = self.restarts
 
         def happen(_: simpy.Event) -> None:
@@ -198,8 +197,7 @@ class Timing:
             )
         for function, takes, name in ((act, ("messages",), "act"), (ignores, ("message",), "ignores")):
             if function is not None and module_of(function).partition(".")[0] not in OURS:
-                check_argument(function, takes, f"pursuer {self.id}: listen: {name}")
-                check_at_once(function, f"pursuer {self.id}: listen: {name} ")
+                check_action(function, takes, f"pursuer {self.id}: listen: {name}")
 
         def take(messages: list[Message]) -> None:
             self.resume()

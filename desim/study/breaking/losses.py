@@ -26,6 +26,7 @@ from typing import Any, NamedTuple
 
 from desim.analysis.properties import Judgement, Stated, judge
 from desim.config.arguments import naming_arguments, scenario_argument, value_text
+from desim.config.calls import check_action
 from desim.config.errors import ArgumentError
 from desim.config.python_numbers import real, whole
 from desim.config.traits import kind_of
@@ -94,6 +95,7 @@ def fatal_losses(
             another argument is of a wrong type.
     """
     scenario_argument(Scenario).check(scenario, "fatal_losses")
+    check_action(on_run, (), "on_run")
     if (most := whole(most, "most")) < 1:
         raise ArgumentError("most", f"should be at least 1 (got {most})")
     delay, limit = real(delay, "delay"), whole(limit, "limit")

@@ -8,6 +8,7 @@ from typing import Any
 
 from desim.analysis.properties import Judgement, Stated, stated, under_protocol
 from desim.config.arguments import naming_arguments, scenario_argument, value_text
+from desim.config.calls import check_action
 from desim.config.errors import ArgumentError
 from desim.config.json_numbers import to_json
 from desim.config.python_numbers import real, whole
@@ -217,6 +218,7 @@ def find_violation(
             its own reference, the budget or the time-out is not positive, or another argument is of a wrong type.
     """
     scenario_argument(Scenario).check(scenario, "find_violation")
+    check_action(on_case, ("case",), "on_case")
     if not real(budget, "budget") > 0.0:
         raise ArgumentError("budget", f"should be positive, s (got {budget:g})")
     if whole(runs, "runs") < 1:

@@ -5,6 +5,7 @@ from contextlib import closing
 from typing import Any, TypeVar
 
 from desim.analysis.measuring import summary
+from desim.config.calls import check_action
 from desim.kernel.core.seeds import run_seed
 from desim.simulation.run import Result, run
 from desim.study.workers.dispatch import Simulate, Task, drive
@@ -54,6 +55,8 @@ def run_many(
         BrokenExecutor: if a run ended its worker process.
         ValueError: if `jobs` is negative, or `timeout` is out of its range.
     """
+    check_action(measure, ("result",), "measure")
+    check_action(on_done, ("number", "measurement"), "on_done")
     measured: list[Any] = [None] * len(tasks)
     with (
         progress(len(tasks), label, "run") as bar,
