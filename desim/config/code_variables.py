@@ -39,6 +39,8 @@ CODE = (
 """The types of functions and of Python's wrappers around functions."""
 INNER = ("__func__", "__self__", "__wrapped__", "fget", "fset", "fdel", "func", "dispatcher")
 """The attributes in which objects of these types hold functions and other objects."""
+BOOKKEEPING = {"_abc_impl", "_value2member_map_"}
+"""The attributes in which abstract classes and flags of Python keep what they have computed."""
 MAX_SEARCHED = 100
 """Number of items up to which a list, a dict or a cache is searched."""
 MAX_DEPTH = 8
@@ -93,7 +95,7 @@ def _attributes(owner: str, namespace: Any) -> Iterator[tuple[str, Read]]:
     """Yield the attributes in the namespace of a class or function, without methods and descriptors of Python."""
     for name, value in tuple(namespace.items()):  # a copy, because pydantic may still complete the class
         is_method = hasattr(type(value), "__get__") and is_foreign(type(value))
-        if not (name.startswith("__") or name == "_abc_impl" or is_method):
+        if not (name.startswith("__") or name in BOOKKEEPING or is_method):
             yield f"{owner}.{name}", partial(namespace.get, name)
 
 

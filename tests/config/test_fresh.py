@@ -1,6 +1,7 @@
 """Fresh copies: what a run may remember is copied at its start, in every field of every model that holds an object."""
 
 import csv
+import enum
 import functools
 import importlib
 import io
@@ -1066,6 +1067,17 @@ def test_a_package_that_lacks_what_code_names_is_no_error(monkeypatch):
 
     for _ in range(2):
         run(brief(strategy), 1)
+
+
+class Signs(enum.Flag):
+    NORTH = 1
+    EAST = 2
+
+
+def test_flags_that_are_combined_are_no_state():
+    """Python keeps each combination in the class."""
+    for _ in range(2):
+        run(brief(lambda state, rng: 1j if Signs.NORTH | Signs.EAST else -1j), 1)
 
 
 def test_state_of_a_users_script_is_warned_of_in_a_worker_process(monkeypatch):

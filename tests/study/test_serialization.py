@@ -2,8 +2,9 @@
 
 import importlib
 import pickle
+import subprocess
 import sys
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from threading import Event, Thread
 from types import ModuleType
@@ -94,3 +95,64 @@ def test_a_module_of_a_class_of_its_own_is_imported_by_the_other_process(monkeyp
         return lazy.three + x
 
     assert pickle.loads(packed(partial(add, 2)))() == 5
+
+
+SCRIPT = """
+import struct
+from functools import cache, cached_property, lru_cache
+
+from desim import Scenario, Team, sweep
+
+HEADER = struct.Struct("<if")
+
+
+@lru_cache(maxsize=7)
+def fibonacci(n):
+    return n if n < 2 else fibonacci(n - 1) + fibonacci(n - 2)
+
+
+@cache
+def double(x):
+    return 2 * x
+
+
+class Notes:
+    @cached_property
+    def three(self):
+        return 3
+
+
+def protocol(me):
+    notes = Notes()
+    assert (fibonacci(10), double(4), notes.three, vars(notes), HEADER.size) == (55, 8, 3, {"three": 3}, 8)
+    assert fibonacci.cache_info().maxsize == 7
+    yield me.sleep(0.1)
+    me.assign(True)
+
+
+if __name__ == "__main__":
+    scenario = Scenario(team=Team(count=2, active_at_start=False), horizon=0.2, protocol=protocol)
+    for executor in (1, 2):
+        result = sweep(scenario, {"seed": [1, 2]}, reps=1, executor=executor)
+        print([estimate.mean for estimate in result.estimates("active_time")], [row.traceback for row in result.failed])
+"""
+
+
+@pytest.mark.whole
+def test_a_script_may_cache_and_pack_in_workers_as_in_its_own_process(tmp_path):
+    """The wrappers of functools around its code are made anew there, since nobody can import them."""
+    (tmp_path / "script.py").write_text(SCRIPT)
+    printed = subprocess.run([sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, check=True)
+    alone, together = printed.stdout.splitlines()
+    assert alone == together == "[0.2, 0.2] []"
+
+
+def test_a_call_of_a_function_with_a_cache_is_made_anew_unless_it_can_be_imported(tmp_path):
+    @lru_cache(maxsize=3)
+    def count_down(n):
+        return n and count_down(n - 1)
+
+    made = pickle.loads(packed(partial(count_down, 5))).func
+    assert (made(5), made.cache_info().maxsize, made.__wrapped__.__name__) == (0, 3, "count_down")
+    assert made.cache_info().currsize == 3  # it calls itself through its own cache
+    assert pickle.loads(packed(partial(is_installed, tmp_path))).func is is_installed

@@ -25,6 +25,7 @@ from functools import cache, cached_property
 from io import BytesIO
 from operator import attrgetter
 from pathlib import Path
+from struct import Struct
 from types import CodeType, FunctionType, MappingProxyType, ModuleType, NoneType
 from typing import Any, NamedTuple
 from weakref import WeakSet
@@ -59,8 +60,8 @@ COUNTS = ("argcount", "posonlyargcount", "kwonlyargcount")
 are numbers of arguments."""
 PICKLED = {NoneType, bool, int, float, list, dict}
 """The types whose pickle is the same in every process."""
-WRAPPED = {cached_property: "func", type(cache(len)): "__wrapped__"}
-"""The types that wrap a function and cannot be pickled, each with the attribute that holds the function."""
+WRAPPED = {cached_property: "func", type(cache(len)): "__wrapped__", Struct: "format"}
+"""The types that cannot be pickled, each with the attribute from which its objects are made."""
 GENERATED = {
     *("__module__", "__dict__", "__weakref__", "__doc__", "__annotations__", "__orig_bases__"),
     *("__annotations_cache__", "__conditional_annotations__"),

@@ -9,15 +9,18 @@ import marshal
 import pickle
 import sys
 from collections import ChainMap
-from functools import cache, partial
+from collections.abc import Mapping
+from functools import cache, cached_property, lru_cache, partial
 from importlib import import_module
 from pathlib import Path
+from struct import Struct
 from threading import RLock
 from types import CodeType, ModuleType
 from typing import Any, ClassVar
 
 import cloudpickle
 
+from desim.config.code_variables import CACHED
 from desim.config.copier import passes_on_attributes, with_state_setter
 from desim.config.own_modules import is_installed
 from desim.config.traits import OURS
@@ -31,22 +34,40 @@ _REGISTERING = RLock()
 class CallPickler(cloudpickle.Pickler):  # type: ignore[misc]
     """A pickler whose code objects keep the names of their files, so that tracebacks are the same in any process.
 
-    The code objects of cloudpickle 3.1.3 have no file. This class can also pickle wrappers that forward attributes, and
-    modules of classes of their own, such as that of mpmath.
+    The code objects of cloudpickle 3.1.3 have no file. This class can also pickle wrappers that forward attributes,
+    modules of classes of their own, such as that of mpmath, and what functools and struct make of user code.
     """
 
     dispatch_table: ClassVar = ChainMap(
-        {CodeType: lambda code: (marshal.loads, (marshal.dumps(code),))}, cloudpickle.Pickler.dispatch_table
+        {
+            CodeType: lambda code: (marshal.loads, (marshal.dumps(code),)),
+            Struct: lambda struct: (Struct, (struct.format,)),
+            cached_property: lambda item: (cached_property, (item.func,), {"attrname": item.attrname}),  # has a lock
+        },
+        cloudpickle.Pickler.dispatch_table,
     )
 
     def reducer_override(self, value: Any) -> Any:
         """Return how to make an object again in another process; NotImplemented for the usual way."""
         if isinstance(value, ModuleType) and sys.modules.get(value.__name__) is value and type(value) is not ModuleType:
             return import_module, (value.__name__,)
+        if type(value) is CACHED and _is_by_value(value):
+            return _cached, (value.__wrapped__, value.cache_parameters())
         reduced = super().reducer_override(value)
         if reduced is NotImplemented and passes_on_attributes(type(value)):
             return with_state_setter(value.__reduce_ex__(5))
         return reduced
+
+
+def _cached(function: Any, parameters: Mapping[str, Any]) -> Any:
+    """Return a function with an empty cache."""
+    return lru_cache(**parameters)(function)
+
+
+def _is_by_value(function: Any) -> bool:
+    """Return whether another process may not be able to import a function, so that it needs its code."""
+    module: str = function.__module__
+    return module == "__main__" or "<" in function.__qualname__ or module in cloudpickle.list_registry_pickle_by_value()
 
 
 def packed(call: Call) -> bytes:
