@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import Field, ModelWrapValidatorHandler, ValidationInfo, model_validator
 
 from desim.config.answers import wrong_answer
-from desim.config.arrays import Points
+from desim.config.arrays import Floats, Points
 from desim.config.choice import OneOf
 from desim.config.model import MAX_COORDINATE, Coordinate, Duration, FirstError, Length, Limit, Speed, Time, Value
 from desim.config.number_files import is_fill
@@ -26,7 +26,6 @@ from desim.config.python_numbers import as_complex
 from desim.config.traits import Follows, Traits
 from desim.config.trust import resolve_path
 from desim.kernel.core import portable_math
-from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.measured.measurements import PER_SECOND, Unit, timed_rows
 
 VelocityComponent = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE, allow_inf_nan=False, strict=True)]
@@ -221,18 +220,22 @@ class RecordedFlow(UniformFlow):
 
     def trend(self, begin: float) -> tuple[complex, float]:
         """Return the last velocity, m/s, and a bound, m, of the displacement relative to this velocity."""
-        last, times = self._values[-1], [max(t, begin) for t in self._times]
-        differences = [abs(self.velocity_at(t) - last) for t in times]
-        before_first = differences[0] * max(times[0] - begin, 0.0)
-        pieces = zip(pairwise(times), pairwise(differences), strict=True)
-        return last, before_first + portable_sum(max(v, w) * (t - s) for (s, t), (v, w) in pieces)
+        last, first = self._values[-1], self._times[0]
+        difference = abs(self.velocity_at(begin) - last)
+        bound = difference * max(first - begin, 0.0)
+        k = max(bisect_right(self._times, begin), 1)
+        terms = self._bounds[k - 1 :].copy()
+        if len(terms):
+            terms[0] = max(difference, abs(self._values[k] - last)) * (self._times[k] - max(begin, first))
+            bound += float(np.add.accumulate(terms)[-1])
+        return last, bound
 
-    @property
+    @cached_property
     def top_speed(self) -> float:
         """The greatest speed, m/s."""
         return max(map(abs, self._values))
 
-    @property
+    @cached_property
     def top_acceleration(self) -> float:
         """The greatest rate of change of the velocity, m/s^2."""
         changes = zip(pairwise(self._times), pairwise(self._values), strict=True)
@@ -258,6 +261,13 @@ class RecordedFlow(UniformFlow):
         """The displacement from the first measurement to each, m."""
         pieces = zip(pairwise(self._times), pairwise(self._values), strict=True)
         return [*accumulate(((v + w) * ((t - s) / 2.0) for (s, t), (v, w) in pieces), initial=0j)]
+
+    @cached_property
+    def _bounds(self) -> Floats:
+        """A bound of the displacement between two measurements relative to the last velocity, m."""
+        differences = [abs(value - self._values[-1]) for value in self._values]
+        pieces = zip(pairwise(self._times), pairwise(differences), strict=True)
+        return np.array([max(v, w) * (t - s) for (s, t), (v, w) in pieces])
 
 
 def _check_measurements(rows: Sequence[Sequence[float]], places: Sequence[str]) -> None:
