@@ -90,9 +90,9 @@ def _step_warnings(scenario: Scenario, fastest: float) -> Iterator[tuple[str, st
 
     A pursuer aims at the place of its evader at the start or at the end of a step. If it comes there within the step,
     it is then at most v_e h from the evader. So with v_e h <= eps it captures the evader within the bound phi, whatever
-    the evader does. With a longer step it may run past the evader, and back, for ever. Of 10 zigzagging evaders of
-    amplitude 1.4, with v = 2 m/s, v_e = .9 m/s and v_e h = 2, 4 and 8 eps, 0, 4 and 7 were never captured, and 4, 10
-    and 10 if all move at once (`motion.order`).
+    the evader does (under pure pursuit, without inertia or a flow). With a longer step it may run past the evader, and
+    back, for ever. Of 10 zigzagging evaders of amplitude 1.4, with v = 2 m/s, v_e = .9 m/s and v_e h = 2, 4 and 8 eps,
+    0, 4 and 7 were never captured, and 4, 10 and 10 if all move at once (`motion.order`).
     """
     step, radius = scenario.motion.step, scenario.capture.radius
     if scenario.capture.test == "sample":
