@@ -84,6 +84,17 @@ def test_pure_evasion_from_one_pursuer_is_exact_at_any_step(order):
         assert summary(run(made, 0)).end_time == pytest.approx(bound(made, 0), abs=1e-6)
 
 
+@pytest.mark.slow
+def test_where_captures_are_sampled_and_all_move_at_once_both_speeds_count():
+    """With (v + v_e) h <= 2 eps no evader escapes; one that runs aside does with 1.4 times this step."""
+    longest, captured = 2.0 * RADIUS / (SPEED + EVADER_SPEED), {"capture.test": "sample"}
+    for strategy in STRATEGIES.values():
+        made = pursuit(strategy, "simultaneous", longest).with_(captured)
+        assert summary(run(made, 0)).end_time < 40.0
+    longer = pursuit(aside, "simultaneous", 1.4 * longest, count=1).with_(captured)
+    assert [summary(run(longer, seed)).end_time for seed in range(6)].count(40.0) > 0
+
+
 WIND = {"kind": "harmonic", "velocity": [0.2, 0.3], "amplitude": [0.3, -0.2], "period": 3.0}
 REFINED = {
     "pure pursuit": ({}, 1),
@@ -101,7 +112,7 @@ REFINED = {
 """Features of a chase, each with the order in h of its errors if the evader moves first."""
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("name", REFINED)
 def test_capture_times_converge_to_one_limit_in_both_orders(name):
     """With errors of order h; where a pursuer that knows its evader's velocity meets it, of order h^2, or none."""

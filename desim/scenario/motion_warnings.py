@@ -95,17 +95,19 @@ def _step_warnings(scenario: Scenario, fastest: float) -> Iterator[tuple[str, st
     0, 4 and 7 were never captured, and 4, 10 and 10 if all move at once (`motion.order`).
     """
     step, radius = scenario.motion.step, scenario.capture.radius
+    dodging = [evader.speed for evader in scenario.evaders if evader.speed < fastest and _may_dodge(evader, scenario)]
+    speed = max(dodging, default=0.0)
     if scenario.capture.test == "sample":
-        stride = step * max(fastest, *(evader.speed for evader in scenario.evaders))
-        if stride > 2 * radius:
+        stride, factor = step * max(fastest, *(evader.speed for evader in scenario.evaders)), "speed"
+        if dodging and scenario.motion.order == "simultaneous":  # no player knows where the other will be
+            stride, factor = step * (fastest + speed), "sum of both speeds"
+        if stride > 2 * radius * (1.0 + ROUNDING):
             yield (
                 "motion.step",
-                f"a player may jump across the capture disc between two samples: step x speed = {stride:g} m is more"
+                f"a player may jump across the capture disc between two samples: step x {factor} = {stride:g} m is more"
                 f" than 2 x radius = {2 * radius:g} m",
             )
         return
-    dodging = [evader.speed for evader in scenario.evaders if evader.speed < fastest and _may_dodge(evader, scenario)]
-    speed = max(dodging, default=0.0)
     if step * speed > radius * (1.0 + ROUNDING) and not scenario.motion.static:
         limit = radius / speed
         unit = 10.0 ** floor(log10(limit) - 1.0)  # of the second digit

@@ -141,6 +141,25 @@ def test_a_pursuer_may_run_past_an_evader_that_moves_by_more_than_the_radius_in_
     assert ("may run past an evader" in found.get("motion.step", "")) == (is_warned_of in {True, order})
 
 
+@pytest.mark.parametrize(
+    ("order", "strategy", "step", "text"),
+    [
+        ("evader_first", "zigzag", 0.1, None),
+        ("evader_first", "zigzag", 0.101, "step x speed = 0.202 m"),
+        ("simultaneous", "zigzag", 0.0689, None),
+        ("simultaneous", "zigzag", 0.07, "step x sum of both speeds = 0.203 m is more than 2 x radius = 0.2 m"),
+        ("simultaneous", "pure_evasion", 0.1, None),
+        ("simultaneous", "pure_evasion", 0.101, "step x speed = 0.202 m"),
+    ],
+)
+def test_between_two_samples_both_players_move_if_all_move_at_once(order, strategy, step, text):
+    """The pursuer is at most (v + v_e) h - eps from the evader after a step in which it comes to its aim."""
+    motion, capture = {"step": step, "order": order}, {"test": "sample"}
+    found = dict(warned(motion=motion, capture=capture, evader={"strategy": strategy}, team={"speeds": 2.0}))
+    assert (text or "") in found.get("motion.step", "")
+    assert ("motion.step" in found) == (text is not None)
+
+
 @pytest.mark.parametrize(("speed", "radius"), [(0.9, 0.1), (0.6, 0.1), (1.1, 0.07)])
 def test_the_step_that_a_warning_proposes_gives_none(speed, radius):
     parts = {"evader": {"strategy": "zigzag", "speed": speed}, "capture": {"radius": radius}}
