@@ -547,6 +547,7 @@ TWICE = 2
 HOOK = None
 DRAWN = {}
 COUNT = 0
+LISTED = []
 COMPUTED = len("abc")
 
 class Setting:
@@ -589,7 +590,8 @@ def with_constants(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "constants.py").write_text(f"from dataclasses import dataclass\nfrom enum import Enum\n{CONSTANTS}")
     (tmp_path / "reading.py").write_text(
-        "import constants\n\ndef rule(me):\n    constants.DRAWN[me.id] = 1\n    constants.COUNT += 1\n"
+        "import constants\nfrom constants import LISTED as LIST\n\ndef rule(me):\n    constants.DRAWN[me.id] = 1\n"
+        "    constants.COUNT += 1\n    LIST.append(1)\n    GAIN = 1\n    GAIN += 1\n    TABLE = {}\n    TABLE[1] = 2\n"
         "    yield me.sleep(constants.GAIN)\n"
     )
     invalidate_caches()
@@ -609,7 +611,7 @@ def test_a_constant_of_a_module_counts_with_the_value_that_a_program_has_assigne
 
 
 def test_an_equal_constant_and_what_a_module_changes_itself_do_not_count(with_constants):
-    """Enumerations and slots have other values than their sources say; another module changes a dict and a counter."""
+    """Enumerations and slots differ from their sources; another module changes a dict, a list and a counter."""
     constants = with_constants.constants
     found = [stable_hash(rule) for rule in (constants.rule, with_constants.rule)]
     assert not any(", " in code for code in dict(stable_hash(with_constants.rule)[1]).values())

@@ -47,7 +47,7 @@ def values_beside_source(
     Args:
         module: the module.
         source: its source.
-        state: the names of variables that other modules of the run change, see `changed_in_place`.
+        state: the names of variables that modules of the run change in others, see `changed_in_place`.
         with_files: whether what the module has read from files is returned.
     """
     constants = _constants(source)
@@ -139,7 +139,7 @@ def _literals(body: list[ast.stmt]) -> Iterator[tuple[str, str]]:
 
 def _changed(tree: ast.Module) -> Iterator[str]:
     """Yield the names of variables and attributes that code of a module may change while it runs."""
-    yield from _changed_in_place(tree)
+    yield from map(_last_name, _changed_in_place(tree))
     for node in ast.walk(tree):
         if isinstance(node, ast.Global):
             yield from node.names
@@ -149,21 +149,34 @@ def _changed(tree: ast.Module) -> Iterator[str]:
 
 @cache
 def changed_in_place(source: bytes) -> frozenset[str]:
-    """Return the names of the collections and counters that code of a module may change, also those of other modules.
+    """Return the names of the collections and counters of other modules that code of a module may change.
 
     What it assigns in other modules does not count: it may be a program that sets their constants.
     """
-    return frozenset(_changed_in_place(ast.parse(source)))
+    tree = ast.parse(source)
+    imports = [node for node in ast.walk(tree) if isinstance(node, ast.Import | ast.ImportFrom)]
+    aliases = [alias for node in imports for alias in node.names]
+    imported = {alias.asname or alias.name.partition(".")[0]: alias.name for alias in aliases}
+    changed = [(_root(target), _last_name(target)) for target in _changed_in_place(tree)]
+    return frozenset(imported[root] if name == root else name for root, name in changed if root in imported)
 
 
-def _changed_in_place(tree: ast.Module) -> Iterator[str]:
+def _changed_in_place(tree: ast.Module) -> Iterator[ast.expr]:
+    """Yield expressions for the collections and counters that code of a module may change."""
     for node in ast.walk(tree):
         if isinstance(node, ast.AugAssign):
-            yield _last_name(node.target)
+            yield node.target
         elif isinstance(node, ast.Subscript):
-            yield from [] if isinstance(node.ctx, ast.Load) else [_last_name(node.value)]
+            yield from [] if isinstance(node.ctx, ast.Load) else [node.value]
         elif isinstance(node, ast.Attribute) and node.attr in CHANGING:
-            yield _last_name(node.value)
+            yield node.value
+
+
+def _root(node: ast.expr) -> str:
+    """Return the name of the variable with which an expression begins."""
+    while isinstance(node, ast.Subscript | ast.Attribute):
+        node = node.value
+    return getattr(node, "id", "")
 
 
 def _last_part(name: str) -> str:
