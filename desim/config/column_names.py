@@ -170,7 +170,7 @@ def coordinate_columns(labels: Sequence[object]) -> list[int] | None:
     return [index[role] for role in "txy" if role in index]
 
 
-def unit_of(label: str) -> str:
+def unit_in_label(label: str) -> str:
     """Return the unit in the label of a column or a series; an empty text if it has none."""
     return header_of([label]).units[0]
 

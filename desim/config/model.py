@@ -24,7 +24,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError
 
 from desim.config.arguments import missing_attribute, with_article
-from desim.config.column_names import OTHER_UNITS, unit_of
+from desim.config.column_names import OTHER_UNITS, unit_in_label
 from desim.config.errors import WORDINGS, KeyedError, Problem, cause_in
 from desim.config.field_docs import annotated, fields_of, unit_in
 from desim.config.field_types import MAX_COORDINATE as MAX_COORDINATE
@@ -389,7 +389,7 @@ def _why_other_unit(model: type[Value], name: str, value: Any) -> str:
     label = getattr(value, "name", None)
     if not isinstance(label, str) or not hasattr(value, "dtype"):
         return ""
-    unit, unit_of_field = unit_of(label), unit_in(fields_of(model)[name])
+    unit, unit_of_field = unit_in_label(label), unit_in(fields_of(model)[name])
     is_other = unit_of_field in OTHER_UNITS and re.fullmatch(OTHER_UNITS[unit_of_field], unit, re.IGNORECASE)
     return f"should be in {unit_of_field}: the name {label!r} says {unit}" if is_other else ""
 

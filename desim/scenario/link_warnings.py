@@ -5,7 +5,9 @@ from collections.abc import Iterator, Sequence
 from math import inf
 from typing import Any
 
-from desim.config.model import RESOLUTION
+import numpy as np
+
+from desim.config.model import RESOLUTION, Value
 from desim.config.number_files import is_fill
 from desim.config.traits import inherits
 from desim.kernel.clock_sync import Unsynchronised
@@ -19,8 +21,6 @@ from desim.kernel.models.clock_skew import is_skewed
 from desim.kernel.models.faults import Window
 from desim.kernel.models.graphs import Complete, Edges, links_with_attributes
 from desim.kernel.models.interference import Collision
-from desim.kernel.models.latency import Empirical
-from desim.kernel.models.latency_by_link import LatencyMatrix
 from desim.kernel.models.links import Links
 from desim.kernel.models.medium import LoRa, Radio, airtime_of, contends
 from desim.kernel.models.presets import PRESETS
@@ -195,10 +195,10 @@ def late_rows(noun: str, times: Sequence[float], horizon: float, late: float = 1
     return f"{which}, and the horizon is {horizon:g} s; are the times in another unit?"
 
 
-def _largest(model: Empirical | LatencyMatrix) -> float:
-    """Return the largest finite value of a list or a matrix of latencies."""
-    rows = model.values if isinstance(model, LatencyMatrix) else (model.values,)
-    return max((value for row in rows for value in row if value < inf), default=0.0)
+def _largest(model: Any) -> float:
+    """Return the largest finite number in the list or the matrix `values` of a model; 0 if it has none."""
+    values = np.array(getattr(model, "values", ()) if isinstance(model, Value) else ())
+    return float(values[values < inf].max(initial=0.0)) if values.dtype.kind in "if" else 0.0
 
 
 def _trace_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
@@ -210,7 +210,7 @@ def _trace_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     for key, owner in owners:
         for name in ("latency", "loss", "duplicate"):
             model = owner.get(name)
-            if isinstance(model, Empirical | LatencyMatrix) and is_fill(largest := _largest(model)):
+            if is_fill(largest := _largest(model)):
                 place = key if key == "network.graph" else f"{key}.{name}.values"
                 notes[place, f"{largest:g} may stand for a message without an answer: leave it out"] = None
             if not isinstance(model, LinkTrace):
