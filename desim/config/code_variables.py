@@ -9,7 +9,7 @@ import sys
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator
 from dis import get_instructions
-from functools import cached_property, lru_cache, partial, partialmethod, singledispatchmethod
+from functools import cached_property, lru_cache, partial, partialmethod, singledispatch, singledispatchmethod
 from itertools import pairwise
 from pathlib import Path
 from types import CellType, CodeType, FunctionType, MethodType, ModuleType
@@ -32,6 +32,8 @@ BY_TEXT = {"globals", "vars", "getattr", "setattr", "delattr", "__dict__", "__gl
 """The names in code that finds variables by texts, as in `globals()["calls"]`."""
 CACHED = type(lru_cache(int))
 """The type of functions with a cache."""
+DISPATCHING = getattr(singledispatch(len), "__code__")  # noqa: B009 - a type checker does not know that it is a function
+"""The code of all functions that `singledispatch` makes; their caches are weak, and cannot be pickled."""
 CODE = (
     *(FunctionType, MethodType, staticmethod, classmethod, property),
     *(cached_property, partialmethod, singledispatchmethod, CACHED),

@@ -774,6 +774,31 @@ def test_the_versions_of_what_is_not_installed_are_left_out():
     assert user_code._versions(["numpy", "nobody-has-this"]) == {"distribution numpy": np.__version__}
 
 
+DISPATCHING = """
+from functools import singledispatch
+@singledispatch
+def read(body):
+    return {other}
+@read.register
+def read_number(body: int):
+    return {number}
+def rule(body):
+    return read(body)
+"""
+
+
+def test_a_function_that_dispatches_counts_with_all_implementations_and_not_with_its_cache():
+    def hashed(other, number, *called):
+        variables = {"__name__": "nowhere"}
+        exec(DISPATCHING.format(other=other, number=number), variables)
+        assert [variables["rule"](body) for body in called] == [number, other][: len(called)]
+        return stable_hash(variables["rule"])
+
+    plain = hashed(0, 1)
+    assert hashed(0, 1, 3, "x") == plain
+    assert plain not in (hashed(5, 1), hashed(0, 7))
+
+
 SCRIPT = """
 from dataclasses import dataclass
 from enum import Enum

@@ -99,7 +99,7 @@ def test_a_module_of_a_class_of_its_own_is_imported_by_the_other_process(monkeyp
 
 SCRIPT = """
 import struct
-from functools import cache, cached_property, lru_cache
+from functools import cache, cached_property, lru_cache, singledispatch, singledispatchmethod
 
 from desim import Scenario, Team, sweep
 
@@ -116,7 +116,30 @@ def double(x):
     return 2 * x
 
 
+@singledispatch
+def read(body):
+    return "other"
+
+
+@read.register
+def read_number(body: int):
+    return f"number, {read([])}, {read('')}"
+
+
+@read.register(str)
+def read_text(body):
+    return "text" if body else read(None)
+
+
 class Notes:
+    @singledispatchmethod
+    def take(self, body):
+        return body
+
+    @take.register
+    def take_number(self, body: int):
+        return body + 1
+
     @cached_property
     def three(self):
         return 3
@@ -126,6 +149,7 @@ def protocol(me):
     notes = Notes()
     assert (fibonacci(10), double(4), notes.three, vars(notes), HEADER.size) == (55, 8, 3, {"three": 3}, 8)
     assert fibonacci.cache_info().maxsize == 7
+    assert (read(3), read("a"), notes.take(3), notes.take("3")) == ("number, other, other", "text", 4, "3")
     yield me.sleep(0.1)
     me.assign(True)
 

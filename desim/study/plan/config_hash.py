@@ -35,6 +35,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from desim.config.caller_warnings import warn_caller
+from desim.config.code_variables import DISPATCHING
 from desim.config.data_files import DataFileError, content_hash, declared, opened_by
 from desim.config.errors import Problem
 from desim.config.named_code import definition_of
@@ -247,6 +248,8 @@ class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
         if kind is CodeType:
             parts = [getattr(value, f"co_{name}") for name in CODE + COUNTS]
             parts[CODE.index("names")] = tuple(map(plain_name, value.co_names))
+        elif kind is FunctionType and value.__code__ is DISPATCHING:
+            parts = [value.__qualname__, value.__wrapped__, dict(value.registry)]
         elif kind is FunctionType:
             has_source = self._add_code(value, value.__code__)
             names = () if has_source else sorted(globals_read(value.__code__) & value.__globals__.keys())

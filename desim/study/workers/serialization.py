@@ -10,17 +10,17 @@ import pickle
 import sys
 from collections import ChainMap
 from collections.abc import Mapping
-from functools import cache, cached_property, lru_cache, partial
+from functools import cache, cached_property, lru_cache, partial, singledispatch
 from importlib import import_module
 from pathlib import Path
 from struct import Struct
 from threading import RLock
-from types import CodeType, ModuleType
+from types import CodeType, FunctionType, ModuleType
 from typing import Any, ClassVar
 
 import cloudpickle
 
-from desim.config.code_variables import CACHED
+from desim.config.code_variables import CACHED, DISPATCHING
 from desim.config.copier import passes_on_attributes, with_state_setter
 from desim.config.own_modules import is_installed
 from desim.config.traits import OURS
@@ -51,8 +51,11 @@ class CallPickler(cloudpickle.Pickler):  # type: ignore[misc]
         """Return how to make an object again in another process; NotImplemented for the usual way."""
         if isinstance(value, ModuleType) and sys.modules.get(value.__name__) is value and type(value) is not ModuleType:
             return import_module, (value.__name__,)
-        if type(value) is CACHED and _is_by_value(value):
+        kind = type(value)
+        if kind is CACHED and _is_by_value(value):
             return _cached, (value.__wrapped__, value.cache_parameters())
+        if kind is FunctionType and value.__code__ is DISPATCHING and _is_by_value(value):
+            return _dispatching, (value.__wrapped__, dict(value.registry))
         reduced = super().reducer_override(value)
         if reduced is NotImplemented and passes_on_attributes(type(value)):
             return with_state_setter(value.__reduce_ex__(5))
@@ -62,6 +65,14 @@ class CallPickler(cloudpickle.Pickler):  # type: ignore[misc]
 def _cached(function: Any, parameters: Mapping[str, Any]) -> Any:
     """Return a function with an empty cache."""
     return lru_cache(**parameters)(function)
+
+
+def _dispatching(function: Any, registry: Mapping[type, Any]) -> Any:
+    """Return a function that calls another one by the type of its first argument."""
+    made = singledispatch(function)
+    for kind, implementation in registry.items():
+        made.register(kind, implementation)
+    return made
 
 
 def _is_by_value(function: Any) -> bool:
