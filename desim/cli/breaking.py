@@ -319,14 +319,19 @@ class _Search:
         if violation.failure:
             command = command_for("run", str(self.smallest), scenario, self.file.parent.absolute())
             return f"{where}\nno replay, as the run fails: {command}"
+        from desim.config.extras import naming_extras
         from desim.results.run_folder import can_plot
         from desim.simulation.run import run
         from desim.view.pages.replay import replay_page
 
         result, at = run(scenario.with_({"record.messages": True}), violation.seed), violation.verdict.at
         page = self.smallest.with_suffix(".html")
-        write(replay_page(result).encode(), page)
-        texts = [where, f"replay:   {page}#t={at:g}"]
+        try:
+            with naming_extras():
+                write(replay_page(result).encode(), page)
+            texts = [where, f"replay:   {page}#t={at:g}"]
+        except ModuleNotFoundError as error:  # the violation is worth more than its page
+            texts = [where, f"no replay: {error}"]
         if can_plot():
             from desim.analysis.drawing.plots import save
             from desim.view.pictures.spacetime import spacetime

@@ -176,19 +176,21 @@ def conduct_lines(results: "Sequence[LiveResult]") -> str:
 def _compare(scenario: "Scenario", count: int, links: "LinkKind", out: Path | None, *, as_json: bool) -> None:
     """Run a scenario live and simulated, print the comparison, and draw it."""
     from desim.live.agreement import compare
+    from desim.results.run_folder import can_plot
 
     if count < 2:
         raise click.UsageError("--compare needs several runs, such as -n 20")
+    folder = folder_for(scenario, out)
+    make_folder(folder)
     agreement = compare(scenario, count, links=links)
     show(agreement, as_json=as_json)
-    with making("figure"):
-        from desim.analysis.drawing.plots import save
-        from desim.live.figure import agreement_figure
+    if can_plot():
+        with making("figure"):
+            from desim.analysis.drawing.plots import save
+            from desim.live.figure import agreement_figure
 
-        folder = folder_for(scenario, out)
-        make_folder(folder)
-        for path in save(agreement_figure(agreement), folder / "live"):
-            echo(f"wrote {path}", err=True)
+            for path in save(agreement_figure(agreement), folder / "live"):
+                echo(f"wrote {path}", err=True)
 
 
 def _hosts(file: Path, count: int) -> list[str]:
