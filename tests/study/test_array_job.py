@@ -92,6 +92,14 @@ def test_bad_input_of_submit_and_status_is_refused(place):
     assert "submit.json: is damaged: runs cannot be read; remove the file" in refused("status", record.parent)
 
 
+@pytest.mark.parametrize("content", [b"", b"no store"])
+def test_the_status_of_a_store_that_cannot_be_read_names_no_sweep(tmp_path, content):
+    (tmp_path / "sweep.sqlite").write_bytes(content)  # empty as on a full disk
+    head, _, part = str(status(tmp_path)).splitlines()
+    assert head == "0 runs are done"
+    assert str(tmp_path / "sweep.sqlite") in part
+
+
 def run_part(place, part, **options):
     """Start the script of a part as Slurm would."""
     variables = {"SLURM_ARRAY_TASK_ID": str(part), "SLURM_CPUS_PER_TASK": "1", "SLURM_ARRAY_JOB_ID": "7", **options}

@@ -37,7 +37,7 @@ class SweepStatus:
     """The progress of a sweep."""
 
     name: str
-    """The name of the scenario."""
+    """The name of the scenario; "" if no store can be read."""
     planned: int | None
     """The number of its runs; None if it was not recorded, or the sweep ends when a mean is precise enough."""
     done: int
@@ -56,7 +56,8 @@ class SweepStatus:
         running_parts = len([part for part in self.parts if part.state.startswith("RUNNING")])
         running = f", {counted(running_parts, 'part')} running" if running_parts else ""
         runs = "run is" if self.done == 1 and not of_planned else "runs are"
-        head = f"{self.name}: {self.done:,}{of_planned} {runs} done{failed}{running}"
+        of_sweep = f"{self.name}: " if self.name else ""  # a store that cannot be read tells no name
+        head = f"{of_sweep}{self.done:,}{of_planned} {runs} done{failed}{running}"
         rows = [
             (
                 part.name,
