@@ -629,6 +629,19 @@ def test_a_model_that_another_model_calls_has_the_state_of_the_run(kind, way):
         assert events(linked(loss=theirs, duplicate=theirs)) == events(linked(loss=model, duplicate=model))
 
 
+class _CallingTrace(_Calling):
+    def is_lost(self, context):
+        return self.inner.is_lost(context)
+
+
+@pytest.mark.parametrize("calling", [lambda trace: _calling_super(LatencyTrace)(table=trace.table), _CallingTrace])
+def test_a_latency_that_calls_a_trace_loses_the_messages_of_rows_without_a_value(calling):
+    trace = LatencyTrace(table="t,value\n0,0.01\n0.2,\n0.4,0.05\n")
+    lost = events(linked(latency=trace))
+    assert any("Lost" in each for each in lost)
+    assert events(linked(latency=calling(trace))) == lost
+
+
 def test_only_so_many_called_models_are_kept(monkeypatch):
     """A run keeps the models that it calls often, also if it creates others meanwhile."""
     monkeypatch.setattr(link_context, "MOST", 5)

@@ -26,7 +26,7 @@ class CalledModels:
         self._started: dict[tuple[int, int], tuple[Any, Any, Any]] = {}
         """By the `id` of a model and of the generator of a use, both objects, and the model in its state of the run."""
 
-    def of_run(self, model: Any, start_run: Callable[[Any, int], Any], rng: np.random.Generator) -> Any:
+    def of_run(self, model: Any, start_run: Callable[[Any, int], Any], rng: np.random.Generator | None) -> Any:
         """Return what `start_run(model, size)` has returned at the first call for this model and this generator."""
         key = id(model), id(rng)
         started = self._started.pop(key, None) or (model, rng, start_run(model, self._size))
@@ -56,13 +56,13 @@ class LinkContext:
     called_models: CalledModels | None = None
     """The models that models of links call; None outside of a run."""
 
-    def of_run(self, model: Any, start_run: Callable[[Any, int], Any], rng: np.random.Generator) -> Any:
+    def of_run(self, model: Any, start_run: Callable[[Any, int], Any], rng: np.random.Generator | None) -> Any:
         """Return a model with the state of the run, for a model of a user that calls it; a new one outside of a run.
 
         Args:
             model: the model.
             start_run: the function `start_run(model, size)` that returns the model with the state of a run.
-            rng: the generator of the model of the user.
+            rng: the generator of the model of the user; None if nothing is drawn.
         """
         models = self.called_models or CalledModels(1 + max(self.src, *self.dst.tolist()))
         return models.of_run(model, start_run, rng)

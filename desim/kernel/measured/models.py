@@ -82,6 +82,11 @@ class LatencyTrace(LinkTrace):
         latencies: float | Floats = context.of_run(self, LatencyTrace.start_run, rng)(context, rng)
         return latencies
 
+    def is_lost(self, context: LinkContext) -> bool | Bools:
+        """Return which messages are lost, because their rows have no value; for a model that calls this one."""
+        played = context.of_run(self, LatencyTrace.start_run, None)
+        return False if played.is_lost is None else played.is_lost(context)
+
 
 class PlayedLatencies:
     """`LatencyTrace` in one run.

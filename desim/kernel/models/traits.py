@@ -23,7 +23,9 @@ Exponent = Annotated[float, Field(gt=0, le=20, strict=True)]
 class LinkTraits(Traits):
     """The optional methods of a latency or loss model, in addition to `__call__`."""
 
-    start_run: Annotated[Callable[[int], Any] | None, Follows("__call__", "quantile", not_above="draw")] = None
+    start_run: Annotated[Callable[[int], Any] | None, Follows("__call__", "quantile", "is_lost", not_above="draw")] = (
+        None
+    )
     """`start_run(size)` returns the model of one run of `size` nodes; for models with state."""
     draw: Annotated[
         Callable[[int, np.random.Generator], NDArray[Any]] | None, Follows("__call__", "quantile", not_above="__call__")
@@ -69,12 +71,12 @@ class LinkTraits(Traits):
         if "start_run" not in cls.outdated(kind):  # no method is overridden below it
             return
         starter = _definer(kind, "start_run")
-        method = next(name for name in ("__call__", "draw", "quantile") if _is_newer(kind, name, "start_run"))
+        method = next(name for name in DRAWING if _is_newer(kind, name, "start_run"))
         function = getattr(kind, method)
         # A function with `super()` has the free variable `__class__`. The built-in `draw` and `quantile` know no links,
         # so they have no state. A method that does not call them needs none, so a run may use the model itself.
         calls_super = "__class__" in getattr(getattr(function, "__code__", None), "co_freevars", ())
-        loses_state = not is_ours(starter) or (calls_super and method != "__call__")
+        loses_state = not is_ours(starter) or (calls_super and method in {"draw", "quantile"})
         if loses_state and not isinstance(value.start_run(1), kind):
             raise ValueError(
                 f"{name_of(value)} has its own {method}, and start_run of {starter.__name__} makes another model for"
@@ -82,6 +84,8 @@ class LinkTraits(Traits):
             )
 
 
+DRAWING = ("__call__", "draw", "quantile", "is_lost")
+"""The methods that decide what becomes of a message."""
 NEEDED = (
     "it should have its own start_run(size), too, which returns the model of one run of `size` nodes (itself if it has"
     " no state)"
