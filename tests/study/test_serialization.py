@@ -155,9 +155,9 @@ def protocol(me):
 
 
 if __name__ == "__main__":
-    scenario = Scenario(team=Team(count=2, active_at_start=False), horizon=0.2, protocol=protocol)
+    scenario = Scenario(team=Team(count=2, active_at_start=0.0), horizon=0.2, protocol=protocol)
     for executor in (1, 2):
-        result = sweep(scenario, {"seed": [1, 2]}, reps=1, executor=executor)
+        result = sweep(scenario, {"team.count": [1, 2]}, reps=1, executor=executor)
         print([estimate.mean for estimate in result.estimates("active_time")], [row.traceback for row in result.failed])
 """
 
@@ -168,7 +168,7 @@ def test_a_script_may_cache_and_pack_in_workers_as_in_its_own_process(tmp_path):
     (tmp_path / "script.py").write_text(SCRIPT)
     printed = subprocess.run([sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, check=True)
     alone, together = printed.stdout.splitlines()
-    assert alone == together == "[0.2, 0.2] []"
+    assert alone == together == "[0.1, 0.2] []"
 
 
 def test_a_call_of_a_function_with_a_cache_is_made_anew_unless_it_can_be_imported(tmp_path):
