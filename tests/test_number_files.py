@@ -61,6 +61,7 @@ MODULES = {
     "desim/config/data_files.py": "opens bytes for models of users, and hashes files",
     "desim/config/exports.py": "reads the source of packages of desim",
     "desim/config/number_files.py": "reads text for all readers",
+    "desim/config/own_modules.py": "reads the lists of files of installed packages",
     "desim/config/whole_files.py": "writes",
     "desim/kernel/measured/csv_tables.py": "reads Parquet files, which have numbers, and CSV text",
     "desim/kernel/graph_files/edge_lists.py": "splits text that config/number_files has read",
@@ -172,8 +173,13 @@ COMMENTS = {
         "# ms",
         "# RTT ms",
         "# by ping\n# (us)",
+        "# one-way latencies, ms",
+        "# rtt/ms",
+        "# units = ms",
+        "# values are milliseconds",
+        "# latency=millis",
     ],
-    "m": ["# places [cm]", "# x, y in feet", "# units: px", "# in cm/s", "# in km, or km/h"],
+    "m": ["# places, cm", "# places [cm]", "# x, y in feet", "# units: px", "# in cm/s", "# in km, or km/h"],
 }
 UNITS = {"table of netem": "", **dict.fromkeys(("BonnMotion", "ns-2", "flow", "time of a flow"), "sm")}
 """The units of readers that read others than times, in s."""
@@ -193,6 +199,7 @@ FREE = [
     "# columns, ms or cm",
     "# sums of links in us",
     "# a_msg",
+    "# by bob, us, and others",
 ]
 
 

@@ -34,8 +34,8 @@ DEGREES = LATITUDES | LONGITUDES
 UNITS = {"t": "s", "x": "m", "y": "m", "z": "m"}
 TIME_UNITS = {
     "s": "s|secs?|seconds?",
-    "ms": "ms|msecs?|milliseconds?",
-    "us": "us|[µμ]s|usecs?|microseconds?",
+    "ms": "ms|msecs?|millis|milliseconds?",
+    "us": "us|[µμ]s|usecs?|micros|microseconds?",
     "ns": "ns|nsecs?|nanoseconds?",
 }
 """Expressions for the names of the units of times that are read."""
@@ -77,6 +77,17 @@ ENDS = {
     "z": {"z", "pz", "height", "altitude"},
 }
 """The last words of labels in the header of a file, as in `pose.position.x`; see `Header.columns`."""
+LINK_ENDS = (
+    *(("u", "v"), ("node1", "node2"), ("node_1", "node_2"), ("node_a", "node_b"), ("i", "j"), ("a", "b")),
+    *(("start", "end"), ("node", "target"), ("node", "neighbor"), ("node_id", "neighbor_id")),
+    *(("id1", "id2"), ("id_1", "id_2"), ("fromnodeid", "tonodeid")),
+)
+"""The names of the columns of both ends of links, in lower case."""
+LINK_END_WORDS = (
+    *(("source", "target"), ("source", "destination"), ("source", "dest"), ("src", "dst"), ("src", "dest")),
+    *(("from", "to"), ("sender", "receiver"), ("sending", "receiving"), ("origin", "destination"), ("tx", "rx")),
+)
+"""Pairs of words: one column has the first in its name, and the other the second, as `source_id` and `target_id`."""
 OF_POSITIONS = frozenset(
     {"p", "pos", "pose", "position", "positions", "translation", "location", "point", "coord", "coordinate"}
 )
@@ -130,7 +141,7 @@ def header_of(cells: Iterable[str]) -> Header:
     parts = [LABEL.fullmatch(cell.strip().strip('"').lstrip("%")) for cell in cells]
     labels = [part["name"].strip() if part else "" for part in parts]
     units = [(part["bracketed"] or part["unit"] or "") if part else "" for part in parts]
-    return Header([label.lower() for label in labels], units, [_words(label) for label in labels])
+    return Header([label.lower() for label in labels], units, [words_of_name(label) for label in labels])
 
 
 def coordinate_columns(labels: Sequence[object]) -> list[int] | None:
@@ -145,7 +156,7 @@ def coordinate_columns(labels: Sequence[object]) -> list[int] | None:
     texts = [" ".join(label) if isinstance(label, tuple) and all(map(_is_text, label)) else label for label in labels]
     if not all(map(_is_text, texts)):
         return None
-    words = frozenset(chain.from_iterable(_words(str(text)) for text in texts))
+    words = frozenset(chain.from_iterable(words_of_name(str(text)) for text in texts))
     if LATITUDES & words and LONGITUDES & words:
         raise ValueError("positions are in degrees: project them to m")
     matches = [LABEL.fullmatch(str(text)) for text in texts]
@@ -175,6 +186,17 @@ def unit_in_label(label: str) -> str:
     return header_of([label]).units[0]
 
 
+def columns_of_ends(names: Sequence[str]) -> tuple[int, int] | None:
+    """Return the columns of both ends of links, given the names of all columns; None if no names are of ends."""
+    lower = [name.lower() for name in names]
+    words = [words_of_name(name) for name in names]
+    for a, b in LINK_END_WORDS:
+        for src, src_words in enumerate(words):
+            if src_words.count(a) == 1 and (dst_words := [b if word == a else word for word in src_words]) in words:
+                return src, words.index(dst_words)
+    return next(((lower.index(a), lower.index(b)) for a, b in LINK_ENDS if a in lower and b in lower), None)
+
+
 def are_out_of_order(labels: Sequence[object]) -> bool:
     """Return whether the columns of a table have numbers as labels, and other places than the numbers say."""
     return all(isinstance(label, int) for label in labels) and labels != sorted(labels)  # type: ignore[type-var]
@@ -184,7 +206,8 @@ def _is_text(label: object) -> bool:
     return isinstance(label, str)
 
 
-def _words(label: str) -> list[str]:
+def words_of_name(label: str) -> list[str]:
+    """Return the words in the name of a column, in lower case."""
     return [word.lower() for word in WORD.findall(label)]
 
 
@@ -192,5 +215,5 @@ def _role(name: str) -> str | None:
     """Return which of t, x and y a column is, given its label without a unit; None if it cannot be told."""
     if (role := next((key for key in "txy" if name.strip().lower() in COLUMNS[key]), None)) is not None:
         return role
-    words = [word for word in _words(name) if not word.isdecimal() and word not in OF_POSITIONS]
+    words = [word for word in words_of_name(name) if not word.isdecimal() and word not in OF_POSITIONS]
     return next((key for key, axis in AXES.items() if words and axis.fullmatch(words[-1])), None)

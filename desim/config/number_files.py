@@ -135,14 +135,14 @@ def check_comments(text: str, file: Path, unit: str) -> None:
 
 
 def _unit_named(comment: str, units: str) -> str | None:
-    """Return the unit that a comment names as that of numbers, such as `[ms]`, `_ms`, `in ms` or `latency ms`.
+    """Return the unit that a comment names as that of numbers, such as `[ms]`, `_ms`, `in ms`, `latency ms` or `, ms`.
 
     Only units that match the expression `units` count; None if the comment names none of these.
     """
-    before = r"[\[(_]\s*|\bin |\bunits?\s*[:=]?\s*"
-    pattern = rf"(?:{before})({units})(?=[\])\s,;:./]|$)|^#+\s*(?:\w+[ :]+)?({units})$"
+    before = r"[\[(_]\s*|\b(?:in|are) |\bunits?\b\s*[:=]?\s*"
+    pattern = rf"(?:{before})({units})(?=[\])\s,;:./]|$)|^#+\s*(?:\w+[ :]+)?({units})$|[,/=:|]\s*({units})$"
     match = re.search(pattern, comment.strip())
-    return match and (match[1] or match[2])
+    return match and next(filter(None, match.groups()))
 
 
 GZIP = b"\x1f\x8b"

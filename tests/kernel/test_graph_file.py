@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from desim.kernel.graph_files.edge_lists import END_WORDS, ENDS
+from desim.config.column_names import LINK_END_WORDS, LINK_ENDS
 from desim.kernel.models.graphs import Edges
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links
@@ -605,7 +605,7 @@ def test_a_link_between_names_is_refused_with_their_numbers():
         Links(graph=graph, link=[{"src": 0, "dst": "uav", "latency": 0.1}])
 
 
-@pytest.mark.parametrize("ends", [*ENDS, *END_WORDS], ids="-".join)
+@pytest.mark.parametrize("ends", [*LINK_ENDS, *LINK_END_WORDS], ids="-".join)
 @pytest.mark.parametrize("mark", [" ", ",", "\t"])
 def test_nodes_may_have_the_names_of_columns(tmp_path, ends, mark):
     """The first line is an edge if a node below has one of its names, or if it has a number."""

@@ -675,3 +675,52 @@ def test_a_frame_without_the_columns_is_refused_as_its_text_is():
     ):
         with pytest.raises(KeyedError, match=re.escape(why)):
             LatencyTrace(table=frame)
+
+
+ENDS = [
+    *[("Src", "Dst"), ("sender", "receiver"), ("from", "to"), ("source", "target"), ("source", "destination")],
+    *[("src_id", "dst_id"), ("node_a", "node_b"), ("src_ip", "dst_ip"), ("ip.src", "ip.dst"), ("id1", "id2")],
+    *[("src", "dest"), ("SRC NODE", "DST NODE"), ("tx_id", "rx_id"), ("fromNode", "toNode"), ("origin", "destination")],
+]
+"""Usual names of the columns of senders and receivers."""
+
+
+@pytest.mark.parametrize(("src", "dst"), ENDS, ids="-".join)
+def test_usual_names_of_senders_and_receivers_are_understood(src, dst):
+    """Without them, the rows of both links would be one trace of all links."""
+    rows = "0,0,1,0.1,7\n0.5,1,0,0.3,7\n1,0,1,0.2,7\n"
+    expected = LatencyTrace(table=f"t,src,dst,value,size\n{rows}")
+    read = LatencyTrace(table=f"t,{src},{dst},value,size\n{rows}")
+    assert (read.src, read.dst) == (src, dst)
+    for column in ("src", "dst", "times", "values"):
+        assert getattr(read.measurements, column).tolist() == getattr(expected.measurements, column).tolist()
+    assert LatencyTrace(table=f"t,{src},{dst},value,size\n0,0,1,0.1,7\n", src=None, dst=None).src is None
+
+
+@pytest.mark.parametrize(
+    "names", ["tx_power,rx_power", "tx_bytes,rx_bytes", "start,end", "src_port,dst_port", "to,size"]
+)
+def test_columns_that_are_no_nodes_are_left_out(names):
+    assert LatencyTrace(table=f"t,{names},value\n0,3,5,0.1\n1,3,5,0.2\n").src is None
+
+
+@pytest.mark.parametrize("names", ["tx,rx", "TX,RX", "a,b", "i,j", "u,v"])
+def test_columns_that_may_be_nodes_are_refused(names):
+    src, dst = names.split(",")
+    table = f"t,{names},value\n0,0,1,0.1\n"
+    with pytest.raises(KeyedError, match=f"{src} and {dst} of the table may be the senders and the receivers: say src"):
+        LatencyTrace(table=table)
+    assert LatencyTrace(table=table, src=src, dst=dst).src == src
+    assert LatencyTrace(table=table, src=None, dst=None).src is None
+
+
+@pytest.mark.parametrize(
+    "name", ["rtt [msec]", "rtt/ms", "rttMs", "latency_msec", "latency in millis", "latency (milliseconds)", "rtt ms"]
+)
+def test_a_unit_in_the_name_of_a_column_may_be_written_in_any_way(name):
+    with pytest.raises(KeyedError, match=r"unit: column .* is in ms, and should be in s"):
+        LatencyTrace(table=f"t,{name}\n0,50\n", value=name)
+    assert LatencyTrace(table=f"t,{name}\n0,50\n", value=name, unit="ms").mean_latency() == 0.05
+    time = name.replace("rtt", "time").replace("latency", "time")
+    with pytest.raises(KeyedError, match=r"time_unit: column .* is in ms, and should be in s"):
+        LatencyTrace(table=f"{time},value\n0,0.1\n", time=time)

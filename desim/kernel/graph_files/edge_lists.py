@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from desim.config.column_names import COLUMNS, WORD
+from desim.config.column_names import COLUMNS, LINK_END_WORDS, LINK_ENDS, columns_of_ends
 from desim.config.number_files import is_number_text, number_of
 from desim.config.number_texts import counted, seconds_in
 from desim.config.tables import check_once
@@ -38,17 +38,6 @@ class EdgeRow(NamedTuple):
 
 NamedEdge = tuple[str, str, dict[str, Any]]
 """The ends and the attributes of an edge."""
-ENDS = (
-    *(("u", "v"), ("node1", "node2"), ("node_1", "node_2"), ("node_a", "node_b"), ("i", "j"), ("a", "b")),
-    *(("start", "end"), ("node", "target"), ("node", "neighbor"), ("node_id", "neighbor_id")),
-    *(("id1", "id2"), ("id_1", "id_2"), ("fromnodeid", "tonodeid")),
-)
-"""The names of the columns of both ends, in lower case."""
-END_WORDS = (
-    *(("source", "target"), ("source", "destination"), ("source", "dest"), ("src", "dst"), ("src", "dest")),
-    *(("from", "to"), ("sender", "receiver"), ("sending", "receiving"), ("origin", "destination"), ("tx", "rx")),
-)
-"""Pairs of words: one column has the first in its name, and the other the second, as `source_id` and `target_id`."""
 OF_NODES = frozenset({"id", "node", "name", "label", "node_id", "nodeid", "vertex"})
 """Names of the first column of a table of nodes, in lower case."""
 OVER_TIME = frozenset({*COLUMNS["t"]} - {"t"})
@@ -68,7 +57,7 @@ def read_edge_list(file: Path, text: str, directed: bool | None) -> "nx.Graph[An
         ValueError: if a line is no edge; the message names the file and the line.
     """
     header, rows = _table_of(file, text)
-    src, dst = _ends_in(header) or (0, 1)
+    src, dst = columns_of_ends(header) or (0, 1)
     types, nodes, edges = set[str](), list[str](), list[NamedEdge]()
     for line, cells, attributes in rows:
         if len(cells) == 1:
@@ -105,7 +94,7 @@ def _table_of(file: Path, text: str) -> tuple[list[str], list[EdgeRow]]:
     if delimiter in {";", "\t"}:  # then numbers may have decimal commas
         with_decimal_points = with_points(((row.line, row.cells) for row in rows), list, str(file))
         rows = [row._replace(cells=cells) for row, (_, cells) in zip(rows, with_decimal_points, strict=True)]
-    if not _ends_in(header):
+    if not columns_of_ends(header):
         _check_names(file, rows)
         long_names = {name.strip() for row in rows for name in row.cells[:2] if len(name.split()) > 1}
         quoted = {match[1].replace('""', '"').strip() for match in QUOTED.finditer(text)} if long_names else set()
@@ -174,7 +163,7 @@ def _rows(file: Path, text: str, delimiter: str) -> list[EdgeRow]:
         stripped = line.strip(" \r" if delimiter == "\t" else None)  # a row of a table may end in empty cells
         if stripped and stripped[0] in "#%":
             names = split(stripped.lstrip("#% "))
-            if not rows and _ends_in(names):
+            if not rows and columns_of_ends(names):
                 rows.append(EdgeRow(number, names, {}))
         elif match := None if delimiter else WITH_DICT.fullmatch(stripped):
             rows.append(EdgeRow(number, [match[1], match[2]], _dict_attributes(match[3], f"{file}, line {number}")))
@@ -207,17 +196,6 @@ def _dict_attributes(text: str, place: str) -> dict[str, Any]:
     return {name: attribute_of("", word, place) if quoted is None else quoted for name, quoted, word in entries}
 
 
-def _ends_in(names: Sequence[str]) -> tuple[int, int] | None:
-    """Return the columns of both ends, given the names of all columns; None if no names are of ends."""
-    lower = [name.lower() for name in names]
-    words = [[word.lower() for word in WORD.findall(name)] for name in names]
-    for a, b in END_WORDS:
-        for src, src_words in enumerate(words):
-            if src_words.count(a) == 1 and (dst_words := [b if word == a else word for word in src_words]) in words:
-                return src, words.index(dst_words)
-    return next(((lower.index(a), lower.index(b)) for a, b in ENDS if a in lower and b in lower), None)
-
-
 def _header_of(file: Path, rows: list[EdgeRow]) -> tuple[list[str], list[EdgeRow]]:
     """Return the names of the columns, empty if they are not named, and the other rows.
 
@@ -232,7 +210,7 @@ def _header_of(file: Path, rows: list[EdgeRow]) -> tuple[list[str], list[EdgeRow
     nodes = {cell for row in below for cell in row.cells[:2]}
     has_numbers = bool(nodes) and all(map(str.isdecimal, nodes))
     is_above_numbers = has_numbers and not any(cell.isdecimal() for cell in first[:2])
-    if not _ends_in(first):
+    if not columns_of_ends(first):
         name = first[0].lower()
         subject = "of nodes" if name in OF_NODES else "over time" if name in OVER_TIME else ""
         if subject and nodes and nodes.isdisjoint(first[:2]) and not any(map(is_number_text, first)):
@@ -245,9 +223,9 @@ def _header_of(file: Path, rows: list[EdgeRow]) -> tuple[list[str], list[EdgeRow
         raise ValueError(f"{file}, line {repeated}: repeats the names of the columns: it should be left out")
     if any(map(is_number_text, first)) or (not has_numbers and not nodes.isdisjoint(first[:2])):
         return [], rows
-    is_plain = (first[0].lower(), first[1].lower()) in {*ENDS, *END_WORDS}
+    is_plain = (first[0].lower(), first[1].lower()) in {*LINK_ENDS, *LINK_END_WORDS}
     # Nodes may be called tx1 and rx1, too.
-    if not has_numbers and not is_plain and (not below or any(_ends_in(row.cells[:2]) for row in below)):
+    if not has_numbers and not is_plain and (not below or any(columns_of_ends(row.cells[:2]) for row in below)):
         return [], rows
     # Single letters, such as `a b` above `c d`, may be either.
     if len(first) == 2 and nodes and max(map(len, nodes)) == 1 == max(map(len, first)) and not has_numbers:

@@ -6,6 +6,7 @@ A message that is sent at time t has the value of the measurement at time t + `s
 
 import re
 from collections.abc import Collection, Iterable
+from itertools import chain
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
@@ -14,6 +15,7 @@ from pydantic import Field, ModelWrapValidatorHandler, Tag, ValidationInfo, mode
 from desim.config.arrays import Floats
 from desim.config.caller_warnings import warn_reader
 from desim.config.choice import FILE_NAME
+from desim.config.column_names import LINK_END_WORDS, TIME_UNITS, columns_of_ends, unit_in_label, words_of_name
 from desim.config.model import Flag, Time, Value, in_forms
 from desim.config.traits import is_ours, positions
 from desim.config.trust import resolve_path
@@ -25,6 +27,16 @@ UNIT_AT_END = re.compile(r".*[_\s\[(](ms|us|ns|s|sec|min|h|%|pct|percent)[\])]?"
 """Matches the unit at the end of the name of a column, such as rtt_ms or time [s]."""
 MINIMA = re.compile(r".*[_\s]min", re.IGNORECASE)
 """Matches the name of a column of minima, such as rtt_min; min means minutes only in a column of times."""
+OF_NODES = frozenset(
+    {
+        *chain.from_iterable(LINK_END_WORDS),
+        *("id", "node", "name", "no", "number", "index", "idx", "ip", "mac", "addr", "address", "eth", "wlan", "host"),
+        *("device", "robot", "agent", "uav", "drone", "vehicle", "station", *"12abijuv"),
+    }
+)
+"""Words in the names of columns of senders and receivers."""
+UNCLEAR_ENDS = frozenset({("tx", "rx"), ("a", "b"), ("i", "j"), ("u", "v")})
+"""Names of two columns that may be senders and receivers, or have numbers of other things."""
 Name = Annotated[str, Field(min_length=1)]
 SHOWN = 20
 """Number of names in a warning."""
@@ -34,8 +46,10 @@ TABLE = "the table"
 
 def unit_of_column(column: str) -> str:
     """Return the unit that the name of a column ends in, "" if it has none."""
-    match = UNIT_AT_END.fullmatch(column.strip())
-    return {"sec": "s", "pct": "%", "percent": "%"}.get(match[1].lower(), match[1].lower()) if match else ""
+    if match := UNIT_AT_END.fullmatch(column.strip()):
+        return {"sec": "s", "pct": "%", "percent": "%"}.get(match[1].lower(), match[1].lower())
+    label = unit_in_label(column)
+    return next((unit for unit, names in TIME_UNITS.items() if re.fullmatch(names, label, re.IGNORECASE)), "")
 
 
 class NamedTable(Value):
@@ -91,7 +105,8 @@ class LinkTrace(NamedTable):
     time_unit: Unit = "s"
     """Unit of the times: s, ms, us or ns."""
     src: Name | None = "src"
-    """Column of the senders. Without this column and that of the receivers, the measurements hold for all links."""
+    """Column of the senders; usual names such as source_id or from are understood, too. Without this column and that of
+    the receivers, the measurements hold for all links."""
     dst: Name | None = "dst"
     """Column of the receivers."""
     nodes: Annotated[tuple[Name, ...], Field(min_length=2)] | None = None
@@ -294,8 +309,31 @@ def _columns_in(header: Collection[str], names: Columns, keys: Collection[str], 
     """Return the columns that a table has; those of senders and receivers may be absent unless they are given."""
     ends = {key: getattr(names, key) for key in ("src", "dst")}
     used = [key for key, name in ends.items() if name is not None and (key in keys or name in header)]
-    if not used:
-        return names._replace(src=None, dst=None)
     if len(used) == 2:
         return names
+    if {"src", "dst"}.isdisjoint(keys) and (usual := _usual_ends(header, names, table)):
+        return names._replace(src=usual[0], dst=usual[1])
+    if not used:
+        return names._replace(src=None, dst=None)
     raise ValueError(f"src and dst should both be columns of {table}, or neither; its columns are {', '.join(header)}")
+
+
+def _usual_ends(header: Collection[str], names: Columns, table: str) -> tuple[str, str] | None:
+    """Return the columns with usual names of senders and receivers, such as from and to; None if it has none.
+
+    Words of numbers, as in tx_power and rx_power, do not count.
+
+    Raises:
+        ValueError: if the names may be of senders and receivers, or of other things, as tx and rx.
+    """
+    others = [name for name in header if name not in {names.time, names.value}]
+    columns = [name for name in others if OF_NODES.issuperset(words_of_name(name))]
+    if (ends := columns_of_ends(columns)) is None:
+        return None
+    src, dst = columns[ends[0]], columns[ends[1]]
+    if (src.lower(), dst.lower()) in UNCLEAR_ENDS:
+        raise ValueError(
+            f"the columns {src} and {dst} of {table} may be the senders and the receivers: say src = {src!r} and"
+            f" dst = {dst!r}, or leave them out"
+        )
+    return src, dst
