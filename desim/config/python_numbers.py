@@ -66,6 +66,8 @@ def as_python(value: Any) -> Any:
         return _number(value)
     if hasattr(kind, "__float__") and (hasattr(value, "units") or hasattr(value, "unit")):
         return Refused(f"{abridged(repr(value))}, with a unit: give a number in the unit of the key")
+    if hasattr(kind, "toarray"):  # of scipy
+        return Refused("a sparse matrix, whose absent numbers may be 0 or missing: give an array")
     if hasattr(kind, "tolist") or hasattr(kind, "__array__"):
         return _of_array(value)
     if isinstance(value, IOBase):  # its lines would be a list, and would be used up

@@ -18,6 +18,7 @@ import pandas as pd
 import pytest
 from pydantic import ConfigDict, Field
 from pydantic.fields import FieldInfo
+from scipy import sparse
 
 from desim.config.choice import choices_of
 from desim.config.errors import KeyedError
@@ -476,6 +477,12 @@ def test_a_key_of_a_user_without_a_unit_takes_a_series_of_any_unit():
         """Delays."""
 
     assert Counts(delays=pd.Series([1.0], name="delay_ms")).delays == (1.0,)
+
+
+@pytest.mark.parametrize("kind", [sparse.csr_matrix, sparse.coo_array, sparse.dok_matrix, sparse.lil_array])
+def test_a_sparse_matrix_is_refused_because_its_gaps_may_mean_no_link(kind):
+    with pytest.raises(KeyedError, match=r"values: .*\(got a sparse matrix, whose absent numbers may be 0 or missing"):
+        LatencyMatrix(values=kind(np.array([[0.0, 1.0], [2.0, 0.0]])))
 
 
 def test_an_open_file_is_not_read_as_a_list(tmp_path):

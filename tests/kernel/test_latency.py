@@ -624,13 +624,17 @@ def test_wrong_names_of_a_matrix_are_refused(nodes, why):
         ("x,a,b\na,0,1\nc,1,0\n", "the names of the first line and of the first column should be equal"),
         (",10,20\n10,0,30\n20,30,0\n", "10, 20 may be the names of the nodes, or numbers of a matrix whose first cell"),
         (",2,0,1\n2,,3,4\n0,5,,6\n1,7,8,\n", "2, 0, 1 may be the names of the nodes, or numbers of a matrix whose"),
+        (
+            "rtt [ms],a,b\na,0,10\nb,10,0\n",
+            "the first cell says 'ms', and numbers are read in s: give the unit",
+        ),
         (",a,\na,0,1\n,1,0\n", "a node has no name in the first line and in the first column"),
         ("x,10,20\n10,0,1\n20,30\n", "has 1 number, but the file has 2 lines of numbers: one per node"),
     ],
 )
 def test_names_beside_a_matrix_should_agree(tmp_path, text, why):
     (tmp_path / "m.csv").write_text(text)
-    with pytest.raises(ValueError, match=rf"m\.csv(: |, line 3: ){why}"):
+    with pytest.raises(ValueError, match=rf"m\.csv(: |, line [13]: ){why}"):
         LatencyMatrix(file=str(tmp_path / "m.csv"))
 
 

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from desim.config.column_names import TIME_UNITS, unit_in_label
 from desim.config.number_files import check_comments, is_number_text, number_of, text_of_file, words_of
 from desim.config.number_texts import counted
 from desim.kernel.measured.csv_tables import DECIMAL, plain_rows
@@ -152,6 +153,15 @@ def matrix_of(file: Path, *, unit_is_given: bool = False) -> NamedMatrix:
     except ValueError as error:
         raise ValueError(f"{file}: {error}") from error
     if names:
+        line, (corner, *_) = cells[0]
+        if (
+            not unit_is_given
+            and (unit := unit_in_label(corner))
+            and not re.fullmatch(TIME_UNITS["s"], unit, re.IGNORECASE)
+        ):
+            raise ValueError(
+                f"{file}, line {line}: the first cell says {unit!r}, and numbers are read in s: give the unit"
+            )
         cells = [(line, row[1:]) for line, row in cells[1:]]
     rows = [_numbers(row, file, line, is_first=not k) for k, (line, row) in enumerate(cells)]
     if not rows:
