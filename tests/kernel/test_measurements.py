@@ -724,3 +724,18 @@ def test_a_unit_in_the_name_of_a_column_may_be_written_in_any_way(name):
     time = name.replace("rtt", "time").replace("latency", "time")
     with pytest.raises(KeyedError, match=r"time_unit: column .* is in ms, and should be in s"):
         LatencyTrace(table=f"{time},value\n0,0.1\n", time=time)
+
+
+@pytest.mark.parametrize("words", [("True", "False"), ("true", "false"), ("TRUE", "FALSE")])
+def test_a_loss_may_be_a_truth_value_and_a_latency_may_not(words):
+    table = "t,value\n0,{}\n1,{}\n2,\n".format(*words)
+    for received, losses in ((False, [1.0, 0.0]), (True, [0.0, 1.0])):
+        trace = LossTrace(table=table, received=received)
+        assert trace.scaled(trace.measurements.values[:2]).tolist() == losses
+    for model in (LatencyTrace, SignalTrace):
+        with pytest.raises(KeyedError, match=f"line 2: value: '{words[0]}' is not a number"):
+            model(table=table)
+    assert LossTrace(table=pd.DataFrame({"t": [0.0, 1.0], "value": [True, False]})).measurements.values.tolist() == [
+        1,
+        0,
+    ]

@@ -303,7 +303,9 @@ def hint_of_zones(texts: Iterable[str]) -> str:
 
 def _values(cells: Cells, column: str, meaning: Meaning) -> Floats:
     """Return the (R,) values, nan where a cell is empty or nan."""
-    values = np.array(cells.numbers(column, number_or_nan, _float_or_nan))
+    is_probability = (meaning.low, meaning.high) == (0.0, 1.0)
+    read = _probability_or_nan if is_probability else number_or_nan
+    values = np.array(cells.numbers(column, read, _float_or_nan))
     is_wrong = (values < meaning.low) | (values > meaning.high)
     if is_wrong.any():
         row = int(is_wrong.argmax())
@@ -311,6 +313,12 @@ def _values(cells: Cells, column: str, meaning: Meaning) -> Floats:
         got = f"got {cells.columns[column][row]}"
         raise cells.error(row, f"{meaning.noun} should be {bound} ({got}); if it is missing, leave its cell empty")
     return values
+
+
+def _probability_or_nan(cell: str) -> float:
+    """Return the probability in a cell, see `number_or_nan`; a truth value, as pandas writes it, is 0 or 1."""
+    truth = {"true": 1.0, "false": 0.0}.get(cell.strip().lower())
+    return number_or_nan(cell) if truth is None else truth
 
 
 def _float_or_nan(cell: str) -> float:
