@@ -177,6 +177,9 @@ COMMENTS = {
         "# rtt/ms",
         "# units = ms",
         "# values are milliseconds",
+        "# round trip time ms",
+        "# one-way latency - us",
+        "# latency {ns}",
         "# latency=millis",
     ],
     "m": ["# places, cm", "# places [cm]", "# x, y in feet", "# units: px", "# in cm/s", "# in km, or km/h"],
@@ -200,6 +203,9 @@ FREE = [
     "# sums of links in us",
     "# a_msg",
     "# by bob, us, and others",
+    "# one-way latencies, s",
+    "# mean: 10 ms",
+    "# ms, from a log",
 ]
 
 

@@ -140,9 +140,10 @@ def _unit_named(comment: str, units: str) -> str | None:
     Only units that match the expression `units` count; None if the comment names none of these.
     """
     before = r"[\[(_]\s*|\b(?:in|are) |\bunits?\b\s*[:=]?\s*"
-    pattern = rf"(?:{before})({units})(?=[\])\s,;:./]|$)|^#+\s*(?:\w+[ :]+)?({units})$|[,/=:|]\s*({units})$"
-    match = re.search(pattern, comment.strip())
-    return match and next(filter(None, match.groups()))
+    words = r"(?:[^\W\d][\w-]*[ :-]+)*"  # without numbers, as in `10 ms`
+    at_end = rf"(?:[,;=/|:<{{]\s*|^#+\s*{words})({units})[>}}]?$"
+    match = re.search(rf"(?:{before})({units})(?=[\])\s,;:./]|$)|{at_end}", comment.strip())
+    return match and (match[1] or match[2])
 
 
 GZIP = b"\x1f\x8b"
@@ -179,7 +180,7 @@ PICTURE = "a picture of pixels: draw or trace its lines in an editor, and save t
 NO_TEXT = {
     b"PK\x03\x04": "a zip archive or a spreadsheet: unpack it, or save its table as CSV",
     b"\xd0\xcf\x11\xe0": "a spreadsheet: save its table as CSV",
-    b"PAR1": "a Parquet file, whose name should end in .parquet where tables are read",
+    b"PAR1": "a Parquet file, which is read as a table only, with a name that ends in .parquet",
     b"SQLite format 3": "a database of SQLite: export a table as CSV",
     b"\x93NUMPY": "an array of numpy: numpy.savetxt writes it as text",
     b"\x89HDF": "a file of HDF5: export a table as CSV",

@@ -715,15 +715,27 @@ def test_columns_that_may_be_nodes_are_refused(names):
 
 
 @pytest.mark.parametrize(
-    "name", ["rtt [msec]", "rtt/ms", "rttMs", "latency_msec", "latency in millis", "latency (milliseconds)", "rtt ms"]
+    ("name", "unit"),
+    [
+        *(("rtt [msec]", "ms"), ("rtt/ms", "ms"), ("rttMs", "ms"), ("rtt_µs", "us"), ("rtt (milliseconds)", "ms")),
+        *(
+            ("rtt, ms", "ms"),
+            ("rtt usec", "us"),
+            ("rtt_nanoseconds", "ns"),
+            ("rtt in seconds", "s"),
+            ("rtt_millis", "ms"),
+        ),
+    ],
 )
-def test_a_unit_in_the_name_of_a_column_may_be_written_in_any_way(name):
-    with pytest.raises(KeyedError, match=r"unit: column .* is in ms, and should be in s"):
-        LatencyTrace(table=f"t,{name}\n0,50\n", value=name)
-    assert LatencyTrace(table=f"t,{name}\n0,50\n", value=name, unit="ms").mean_latency() == 0.05
-    time = name.replace("rtt", "time").replace("latency", "time")
-    with pytest.raises(KeyedError, match=r"time_unit: column .* is in ms, and should be in s"):
-        LatencyTrace(table=f"{time},value\n0,0.1\n", time=time)
+def test_a_unit_may_be_written_in_any_usual_way(name, unit):
+    for column, key in (("time", "time_unit"), ("value", "unit")):
+        columns = {"time": "t", "value": "v", column: name}
+        table = f"{columns['time']};{columns['value']}\n0;0\n1;0\n"
+        LatencyTrace(table=table, **columns, **{key: unit})
+        with pytest.raises(ValueError, match=f"is in {unit}, and should be in"):
+            LatencyTrace(table=table, **columns, **{key: "us" if unit != "us" else "ms"})
+    with pytest.raises(KeyedError, match=r"unit: column 'wait \(hours\)' is in hours, and should be in s"):
+        LatencyTrace(table="t;wait (hours)\n0;0\n", value="wait (hours)")
 
 
 @pytest.mark.parametrize("words", [("True", "False"), ("true", "false"), ("TRUE", "FALSE")])

@@ -48,8 +48,9 @@ def unit_of_column(column: str) -> str:
     """Return the unit that the name of a column ends in, "" if it has none."""
     if match := UNIT_AT_END.fullmatch(column.strip()):
         return {"sec": "s", "pct": "%", "percent": "%"}.get(match[1].lower(), match[1].lower())
-    label = unit_in_label(column)
-    return next((unit for unit, names in TIME_UNITS.items() if re.fullmatch(names, label, re.IGNORECASE)), "")
+    label = unit_in_label(column).lower()
+    short = next((unit for unit, names in TIME_UNITS.items() if re.fullmatch(names, label)), "")
+    return short or (label if label in {"minutes", "hours"} else "")
 
 
 class NamedTable(Value):

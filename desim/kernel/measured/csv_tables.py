@@ -26,7 +26,8 @@ MAX_CELLS = 20_000_000
 """Maximum number of cells that are read of a Parquet file: about 400 MB of text."""
 CACHED_TABLES = 8
 """Number of tables that stay in memory, so that the configurations of a sweep do not read their common tables again."""
-SEPARATORS = ",;\t"
+SEPARATORS = ";\t,"
+"""The separators of cells; among those of which a header has equally many, the first one counts."""
 QUOTED = re.compile(r'"[^"]*"')
 DECIMAL = re.compile(r"[+-]?(?:\d*([.,])\d+|\d+([.,]))(?:e[+-]?\d+)?", re.ASCII | re.IGNORECASE)
 """Matches a number with a decimal sign."""
