@@ -1027,3 +1027,15 @@ def test_the_attributes_of_edges_that_are_read_are_not_told_as_unread(tmp_path):
         "edges have attributes that are not read: ordr (did you mean 'order'?);"
         " those of an edge that are read are latency, loss, order"
     )
+
+
+def test_edges_that_differ_by_direction_are_one_way_if_all_have_both(tmp_path):
+    file = tmp_path / "e.csv"
+    header = "source,target,latency\n"
+    for rows, count in (("a,b,.1\nb,a,.2\nb,c,.1\nc,b,.1\n", 4), ("a,b,.1\nb,a,.2\n", 2), ("a,b,.1\nb,a,.1\n", 1)):
+        file.write_text(header + rows)
+        assert len(Edges(file=str(file)).edges) == count
+        assert len(Edges(file=str(file), directed=True).edges) == rows.count("\n")
+    file.write_text(header + "a,b,.1\nb,a,.2\nb,c,.1\n")
+    with pytest.raises(ValueError, match="edges 0 and 1 are parallel"):
+        Edges(file=str(file))

@@ -303,6 +303,8 @@ def listed_graph(
 ) -> "nx.Graph[Any]":
     """Return the graph of a list; an undirected edge may be listed in both directions.
 
+    If all edges are listed in both directions, and those of some differ, edges are one-way.
+
     Args:
         file: the path, for error messages.
         nodes: nodes, perhaps without edges.
@@ -328,6 +330,8 @@ def listed_graph(
             graph.add_edge(src, dst, **attributes)
         listed[src, dst] = attributes
     ways = sum(src != dst for src, dst in listed)  # a repeated edge, or one to its own node, has no reverse edge
+    if directed is None and reverse_count < ways / 2 and all((dst, src) in listed for src, dst in listed):
+        return listed_graph(file, nodes, edges, directed=True)  # the two directions of an edge differ
     if directed is None and (reverse_count or comment) and reverse_count < ways / 2:
         sign = (
             f"the comment {comment[:40]!r}"
