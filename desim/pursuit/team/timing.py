@@ -1,6 +1,7 @@
 """The events for which the protocol of a pursuer waits: times on its local clock, and arriving messages."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import simpy
@@ -44,6 +45,8 @@ class Timing:
         self.id = pursuer
         self.restarts = 0
         self._env, self._clock, self._network = env, clock, network
+        self._checked: set[tuple[Any, type]] = set()
+        """The codes and the types of the functions of `after` that can be called; those of others are checked anew."""
         self._instant, self._waits = -1, 0
         """The last instant at which it waited for the present, ns, and how often it did so then."""
         self._resumed, self._resumptions = -1, 0
@@ -140,8 +143,12 @@ class Timing:
         """
         if not callable(act):
             raise ValueError(f"pursuer {self.id}: after: act should be a function (got {value_text(act)})")
-        if module_of(act).partition(".")[0] not in OURS:
-            check_action(act, (), f"pursuer {self.id}: after: act")
+        code = getattr(act, "__code__", None), type(act)  # a protocol may call `after` for each message
+        if code not in self._checked:
+            if module_of(act.func if isinstance(act, partial) else act).partition(".")[0] not in OURS:
+                check_action(act, (), f"pursuer {self.id}: after: act")
+            if code[0] is not None:
+                self._checked.add(code)
         restarts_before = self.restarts
 
         def happen(_: simpy.Event) -> None:
