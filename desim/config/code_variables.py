@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator
 from dis import get_instructions
 from functools import cached_property, lru_cache, partial, partialmethod, singledispatch, singledispatchmethod
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from types import CellType, CodeType, FunctionType, MethodType, ModuleType
 from typing import Any, NamedTuple
@@ -24,8 +24,8 @@ from desim.config.traits import module_of
 COLLECTIONS = (list, set, dict, deque, np.ndarray)
 ADDING = {"append", "extend", "add", "update", "put", "put_nowait"}
 """The methods that add to a collection and return nothing."""
-TAKING = {"get", "get_nowait", "qsize", "empty", "full"}
-"""The methods of a queue whose answers depend on what it holds."""
+TAKING = {"get_nowait", "qsize", "empty", "full"}
+"""The methods of a queue, besides `get`, whose answers depend on what it holds."""
 Read = Callable[[], Any]
 """Returns the value of a variable; None if it has no value."""
 BY_TEXT = {"globals", "vars", "getattr", "setattr", "delattr", "__dict__", "__globals__", "modules", "import_module"}
@@ -72,16 +72,30 @@ def shared_queues(objects: Iterable[Any], code: Iterable[Any]) -> Iterator[tuple
 
     If all code only puts something into queues, it reports to the caller.
     """
-    functions = [
-        each for item in code for each in (_functions_in(vars(item).values()) if isinstance(item, type) else [item])
-    ]
-    if any(
-        isinstance(each, FunctionType) and not _words_of(each.__code__).names.isdisjoint(TAKING) for each in functions
-    ):
+    functions = chain.from_iterable(
+        _functions_in(vars(item).values()) if isinstance(item, type) else [item] for item in code
+    )
+    if any(isinstance(function, FunctionType) and _takes_items(function.__code__) for function in functions):
         for item in objects:
             if isinstance(item, queue.Queue | queue.SimpleQueue):
                 name = f"a {type(item).__name__} that a model holds (runs share it; a deque is copied)"
                 yield item, name, partial(_itself, item)
+
+
+@lru_cache(maxsize=1024)
+def _takes_items(code: CodeType) -> bool:
+    """Return whether code may read a queue; `get` of a dict has a first argument that is no boolean, and no keyword."""
+    if not TAKING.isdisjoint(code.co_names):
+        return True
+    if "get" in code.co_names:
+        if any(isinstance(item, tuple) and not {"block", "timeout"}.isdisjoint(item) for item in code.co_consts):
+            return True
+        instructions = [item for item in get_instructions(code) if item.opname not in {"PUSH_NULL", "PRECALL"}]
+        for item, following in pairwise(instructions):
+            is_call = following.opname == "CALL" and following.arg == 0
+            if item.argval == "get" and (is_call or isinstance(following.argval, bool)):
+                return True
+    return any(map(_takes_items, inner_code(code)))
 
 
 def is_foreign(definition: Any) -> bool:

@@ -33,6 +33,7 @@ from desim import Evader, Scenario, Team, run, summary, sweep
 from desim.analysis.metrics import Metric
 from desim.config import copier
 from desim.config.choice import choices_of
+from desim.config.code_variables import shared_queues
 from desim.config.fresh import Remembered, StateError, _snapshot, fresh_copy
 from desim.config.shared_state import StateWarning, _cached
 from desim.kernel.models.graphs import Ring
@@ -938,10 +939,28 @@ class Told:
 
     def __init__(self, kind):
         self.queue = kind()
+        self.headings = {"east": 1.0}
 
     def __call__(self, state, rng):
         self.queue.put(state.stamp)
-        return 1j
+        return 1j * self.headings.get("north", 1.0)
+
+
+@pytest.mark.parametrize(
+    ("is_read", "function"),
+    [
+        (True, lambda items: items.get()),
+        (True, lambda items: items.get(False)),
+        (True, lambda items: items.get(timeout=1.0)),
+        (True, lambda items: [1 for _ in range(3) if not items.empty()]),
+        (False, lambda items: items.put(1)),
+        (False, lambda items: items.get("a")),
+        (False, lambda items: items.get(0, None)),
+    ],
+)
+def test_code_that_reads_a_queue_is_told_from_code_that_looks_up_a_key(is_read, function):
+    items = queue.Queue()
+    assert len([*shared_queues([items], [function])]) == is_read
 
 
 @pytest.mark.parametrize("kind", [queue.Queue, queue.SimpleQueue, queue.PriorityQueue])
