@@ -245,10 +245,13 @@ def _in_order(value: Any) -> Any:
         raise ValueError("a dataset of xarray has several arrays: give one")
     if hasattr(value, "isel"):  # of xarray, whose last dimension may have labels
         labels = _labels(value, -1)
+        orders = _orders_of_matrix(_labels(value, 0), labels) if len(value.dims) == 2 else None
+        if orders is not None and len(labels) > 2:
+            return value.isel(dict(zip(value.dims, orders, strict=True)))
         order = coordinate_columns(labels)
         if order is not None:
             value = value.isel({value.dims[-1]: order})
-        elif len(value.dims) == 2 and (orders := _orders_of_matrix(_labels(value, 0), labels)) is not None:
+        elif orders is not None:
             return value.isel(dict(zip(value.dims, orders, strict=True)))
         rows = _by_player(_labels(value, 0)) if value.dims and (order is None or len(order) == 2) else None
         return value if rows is None else value.isel({value.dims[0]: rows})
@@ -256,12 +259,15 @@ def _in_order(value: Any) -> Any:
         value = value.struct.unnest()
     value = _with_times(value)
     labels = _columns(value)
+    rows = list(value.index) if hasattr(value, "iloc") and labels else []
+    orders = _orders_of_matrix(rows, labels)
+    if orders is not None and len(rows) > 2:  # also if its nodes have the names of coordinates
+        return value.iloc[orders]
     if (order := coordinate_columns(labels)) is not None:
         names = [labels[k] for k in order]
         columns = value.select(names) if hasattr(value, "select") else value[names]
         return columns if len(order) > 2 else _by_number(columns)
-    rows = list(value.index) if hasattr(value, "index") and labels else []
-    if (orders := _orders_of_matrix(rows, labels)) is not None:
+    if orders is not None:
         return value.iloc[orders]
     return value if labels else _by_number(value)
 

@@ -714,6 +714,14 @@ def test_a_column_beside_x_and_y_that_is_no_time_is_refused(other, place, kind):
             make()
 
 
+def test_the_nodes_of_a_matrix_may_have_the_names_of_coordinates():
+    values = np.arange(9.0).reshape(3, 3)
+    for names in (["z", "y", "x"], ["y", "x", "t"], ["x", "a", "y"]):
+        matrix = LatencyMatrix(values=pd.DataFrame(values, index=names, columns=names))
+        assert (np.array(matrix.values) == values).all()
+        assert list(matrix.nodes) == names
+
+
 def test_corners_in_one_row_stay_in_their_order():
     class Field(Value):
         edges: tuple[tuple[float, float, float, float], ...]
