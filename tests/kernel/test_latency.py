@@ -661,3 +661,8 @@ def test_a_latency_that_is_longer_than_any_run_is_as_long_as_the_longest():
     """In nanoseconds, 1e10 s is no integer of 64 bits."""
     times = as_nanoseconds(np.array([0.5, MAX_TIME, 1e10, 1e300]), None)
     assert times.tolist() == [500_000_000, *[round(MAX_TIME * 1e9)] * 3]
+
+
+@pytest.mark.parametrize("model", [LatencyMatrix(values=MATRIX), PerPair()])
+def test_a_call_outside_of_a_run_may_have_no_receivers(model):
+    assert model(LinkContext(0, np.arange(0)), np.random.default_rng(1)).shape == (0,)

@@ -64,7 +64,7 @@ class LinkContext:
             start_run: the function `start_run(model, size)` that returns the model with the state of a run.
             rng: the generator of the model of the user; None if nothing is drawn.
         """
-        models = self.called_models or CalledModels(1 + max(self.src, *self.dst.tolist()))
+        models = self.called_models or CalledModels(1 + max([self.src, *self.dst.tolist()]))
         return models.of_run(model, start_run, rng)
 
     @property
