@@ -7,6 +7,7 @@ import sys
 import threading
 import weakref
 from contextlib import redirect_stdout
+from dataclasses import dataclass
 from functools import partial
 from io import StringIO
 from logging import StreamHandler, getLogger
@@ -22,7 +23,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from desim.kernel.core.body_content import MAX_DEPTH, content, in_json_types
+from desim.kernel.core.body_content import MAX_DEPTH, content, content_fields, in_json_types
 from desim.kernel.core.clock import Clock
 from desim.kernel.core.events import Broadcast, Delivered, Sent, Trace
 from desim.kernel.core.message_body import as_sent, differs, is_immutable
@@ -509,3 +510,19 @@ def test_bodies_are_recorded_alike_under_every_hash_seed_and_print_option():
     assert one.getvalue() == other
     assert " at 0x" not in other
     assert other.count("\n") == len(BODIES)
+
+
+def test_an_attribute_in_a_slot_beside_the_fields_counts():
+    """Objects without attributes beside their fields are told by these, which is faster."""
+
+    class Noted:
+        __slots__ = ("note",)
+
+    @dataclass
+    class Body(Noted):
+        a: float
+
+    body = Body(1.0)
+    assert content_fields(body) == {"a": 1.0}
+    body.note = 2.0
+    assert content_fields(body) == {"a": 1.0, "note": 2.0}

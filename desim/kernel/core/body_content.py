@@ -20,6 +20,7 @@ from collections.abc import Iterator, Mapping, Sequence, Set
 from decimal import Decimal
 from enum import Enum
 from fractions import Fraction
+from itertools import chain
 from math import isnan
 from pathlib import PurePath
 from typing import Any
@@ -139,11 +140,17 @@ def quantity_of(value: Any) -> Fields | None:
 def public_attributes(items: Any) -> Fields:
     """Return the public attributes of an object that are beside its value or its items, by name; see `WITH_VALUE`."""
     kind: Any = type(items)
-    if not kind.__dictoffset__ or not isinstance(items, WITH_VALUE) or isinstance(items, Enum):
+    if not _has_value(kind):
         return Fields()
     attributes = {} if vars(items) is items else vars(items)  # a dict may be its own attributes
     left_out = computed_names(kind) | ({"data"} if isinstance(items, WRAPPERS) else set())
     return Fields({name: part for name, part in attributes.items() if name not in left_out and is_public(name, part)})
+
+
+@functools.cache
+def _has_value(kind: type) -> bool:
+    """Return whether objects of a class may have attributes beside a value or items; see `WITH_VALUE`."""
+    return kind.__dictoffset__ != 0 and issubclass(kind, WITH_VALUE) and not issubclass(kind, Enum)
 
 
 def is_public(name: str, part: Any) -> bool:
@@ -204,7 +211,7 @@ def content_fields(value: Any) -> Fields | None:
     fields = Fields({name: getattr(value, name) for name in names if hasattr(value, name)})
     if isinstance(value, BaseModel):
         return Fields(fields | (value.model_extra or {}))
-    if kind.__dictoffset__:
+    if kind.__dictoffset__ and (_slot_names(kind) or not vars(value).keys() <= fields.keys()):
         beside = attributes_of(value).items()
         fields |= {name: part for name, part in beside if name not in fields and is_public(name, part)}
     return fields
@@ -254,6 +261,13 @@ def _stored(value: Any) -> tuple[dict[str, Any], dict[str, Any]]:
     state = object.__getstate__(value)
     stored, slots = state if isinstance(state, tuple) else (state, None)
     return stored or {}, slots or {}
+
+
+@functools.cache
+def _slot_names(kind: type) -> frozenset[str]:
+    """Return the names in the `__slots__` of a class and its bases."""
+    slots = (vars(base).get("__slots__", ()) for base in kind.__mro__)
+    return frozenset(chain.from_iterable([names] if isinstance(names, str) else names for names in slots))
 
 
 @functools.cache
