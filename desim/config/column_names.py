@@ -100,6 +100,10 @@ OF_OTHERS = frozenset(
 """Words in the labels of positions, and in those of other vectors."""
 
 
+class OtherColumnError(ValueError):
+    """A column beside x and y is no time: in a table of three columns, it would be taken for one."""
+
+
 class Header(NamedTuple):
     """The cells of a header."""
 
@@ -150,8 +154,8 @@ def coordinate_columns(labels: Sequence[object]) -> list[int] | None:
     Return None if the names do not say which columns are x and y, or if several may be the same coordinate.
 
     Raises:
-        ValueError: if the coordinates are in degrees, a column is in another unit than m or s, or a column beside x and
-            y is none of the three: in a table of three columns, it would be taken for the time.
+        ValueError: if the coordinates are in degrees, or a column is in another unit than m or s.
+        OtherColumnError: if a column beside x and y is none of the three.
     """
     texts = [" ".join(label) if isinstance(label, tuple) and all(map(_is_text, label)) else label for label in labels]
     if not all(map(_is_text, texts)):
@@ -177,7 +181,7 @@ def coordinate_columns(labels: Sequence[object]) -> list[int] | None:
     if not {"x", "y"} <= index.keys():
         return None
     if others:
-        raise ValueError(f"column {others[0]!r} is none of t, x and y: leave it out")
+        raise OtherColumnError(f"column {others[0]!r} is none of t, x and y: leave it out")
     return [index[role] for role in "txy" if role in index]
 
 

@@ -23,7 +23,7 @@ from types import GeneratorType
 from typing import Any
 
 from desim.config.arguments import abridged, value_text
-from desim.config.column_names import COLUMNS, coordinate_columns
+from desim.config.column_names import COLUMNS, OtherColumnError, coordinate_columns
 
 ATOMS = frozenset({int, float, bool, str, type(None)})
 """Types of values that need no conversion."""
@@ -168,20 +168,29 @@ def _is_plain(values: list[Any] | tuple[Any, ...]) -> bool:
     return kinds <= NUMBERS or (kinds <= ROWS and NUMBERS.issuperset(map(type, chain.from_iterable(values))))
 
 
-def _items(values: Any) -> Any:
-    """Return the converted items of an ordered collection as a list; those of a tuple as a tuple."""
+def _items(values: Any, *, is_row: bool = False) -> Any:
+    """Return the converted items of an ordered collection as a list; those of a tuple as a tuple.
+
+    A named tuple that is no row of a table, such as a place (x, y, z) of a user's model, may have any names.
+    """
     if isinstance(values, Sized) and _length(values) > MAX_ITEMS:
         return Refused(f"a list of more than {MAX_ITEMS:,} items")
     if isinstance(values, Iterator):
         if _is_endless(values) or len(values := list(islice(values, MAX_ITEMS + 1))) > MAX_ITEMS:
             return Refused("an iterator without an end: give a list")
-    elif fields := getattr(values, "_fields", ()):
+    elif _is_named(values):
+        fields = values._fields
         try:
             values = tuple(values[k] for k in coordinate_columns(fields) or range(len(fields)))
         except ValueError as error:
-            return Refused(f"a row: {error}")
-    items = [as_python(item) for item in values]
+            if is_row or not isinstance(error, OtherColumnError):
+                return Refused(f"a row: {error}")
+    items = [_items(item, is_row=True) if _is_named(item) else as_python(item) for item in values]
     return tuple(items) if isinstance(values, tuple) else items
+
+
+def _is_named(value: Any) -> bool:
+    return isinstance(value, tuple) and hasattr(value, "_fields")
 
 
 def _length(values: Sized) -> int:

@@ -113,9 +113,9 @@ def _step_warnings(scenario: Scenario, fastest: float) -> Iterator[tuple[str, st
         unit = 10.0 ** floor(log10(limit) - 1.0)  # of the second digit
         yield (
             "motion.step",
-            "a pursuer aims at one place for a whole step, and may run past an evader for ever that meanwhile moves"
-            f" step x speed = {step * speed:g} m, more than the capture radius of {radius:g} m: a step of at most"
-            f" {floor(limit / unit) * unit:g} s excludes this (or a greater `capture.radius`)",
+            "a pursuer aims at one place for a whole step, in which an evader moves by step x speed ="
+            f" {step * speed:g} m, more than the capture radius of {radius:g} m: it may run past the evader again and"
+            f" again; a step of at most {floor(limit / unit) * unit:g} s excludes this (or a greater `capture.radius`)",
         )
 
 

@@ -722,6 +722,19 @@ def test_the_nodes_of_a_matrix_may_have_the_names_of_coordinates():
         assert list(matrix.nodes) == names
 
 
+def test_a_named_tuple_that_is_no_row_may_have_any_names():
+    class Drone(Value):
+        place: tuple[float, float, float]
+        places: tuple[tuple[float, float, float], ...] = ()
+
+    place = namedtuple("Place", "x y z")(1.0, 2.0, 3.0)
+    assert Drone(place=place).place == (1.0, 2.0, 3.0)
+    with pytest.raises(KeyedError, match="a row: column 'z' is none of t, x and y"):
+        Drone(place=place, places=[place])
+    with pytest.raises(KeyedError, match="a row: column 'x_cm' is in cm"):
+        Drone(place=namedtuple("Place", "x_cm y_cm z_cm")(1.0, 2.0, 3.0))
+
+
 def test_corners_in_one_row_stay_in_their_order():
     class Field(Value):
         edges: tuple[tuple[float, float, float, float], ...]

@@ -138,7 +138,7 @@ def test_a_wind_on_the_pursuers_needs_a_guidance_that_allows_for_it(on, flow, gu
 def test_a_pursuer_may_run_past_an_evader_that_moves_by_more_than_the_radius_in_a_step(parts, order, is_warned_of):
     motion = {"step": 0.2, "order": order} | parts.get("motion", {})
     found = dict(warned(**parts | {"motion": motion}))
-    assert ("may run past an evader" in found.get("motion.step", "")) == (is_warned_of in {True, order})
+    assert ("may run past the evader" in found.get("motion.step", "")) == (is_warned_of in {True, order})
 
 
 @pytest.mark.parametrize(
