@@ -16,7 +16,7 @@ from desim.config.fresh import fresh_copy
 from desim.config.python_numbers import as_python
 from desim.config.suggestion import did_you_mean
 from desim.scenario.named_metrics import NamedMetric, check_metric_name
-from desim.scenario.scenario import Scenario
+from desim.scenario.scenario import Scenario, without_metrics
 from desim.simulation.run import Result
 
 Metrics = Mapping[str, Metric | Callable[[Result], Any]]
@@ -49,7 +49,8 @@ def summary(result: Result, metrics: Metrics = MappingProxyType({})) -> Summary:
 def measured(added: UsersMetrics, result: Result) -> Summary:
     """Return the built-in metrics of a run and those of a user; see `summary`."""
     with (
-        fresh_copy(result.scenario, with_collections=True) as scenario,  # metrics call models, which may have state
+        # metrics call models, which may have state; a metric that takes the summary of its result is not measured in it
+        fresh_copy(without_metrics(result.scenario), with_collections=True) as scenario,
         fresh_copy(added, is_run=True) as fresh_metrics,  # a user's metric may have state, too
     ):
         index = trace_index(replace(result, scenario=scenario))

@@ -327,3 +327,10 @@ def _given(model: Value, above: str = "") -> Iterator[tuple[str, Any]]:
             yield from _given(value, f"{above}{name}.")
         else:
             yield f"{above}{name}", value
+
+
+def without_metrics(scenario: Scenario) -> Scenario:
+    """Return a scenario without `record.metrics`, which select measurements and are not part of a run's identity."""
+    if not scenario.record.metrics:
+        return scenario
+    return scenario.model_copy(update={"record": scenario.record.model_copy(update={"metrics": ()})})

@@ -153,6 +153,19 @@ def test_a_scenario_names_metrics_which_every_summary_of_it_has():
     assert f'metrics = [\n    "{__name__}:half",\n]' in dump(scenario)
 
 
+def reward(result):
+    return -summary(result).active_time
+
+
+def test_a_metric_that_a_scenario_names_may_take_the_summary_of_its_result():
+    scenario = SHORT.model_copy(update={"record": Recording(metrics=(reward, half))})
+    result = run(scenario, 7)
+    assert (summary(result)["reward"], summary(result)["half"]) == (-active_time(result), half(result))
+    assert summary(result, {"x": lambda result: summary(result)["end_time"]})["x"] == summary(result)["end_time"]
+    swept = sweep(scenario, {"team.count": [2]}, reps=2)
+    assert [row["reward"] for row in swept.records()] == [-row["active_time"] for row in swept.records()]
+
+
 def test_a_metric_may_need_recordings_and_is_none_without(result):
     numbers = summary(result, {"x": Metric(half, given=lambda result: False), "y": Metric(half)})
     assert (numbers["x"], numbers["y"]) == (None, half(result))

@@ -25,10 +25,9 @@ from desim.cli.sources import shown_metrics
 from desim.scenario import named_metrics
 from desim.scenario.overrides import ScenarioError
 from desim.scenario.players import Team
-from desim.scenario.scenario import Recording, Scenario
+from desim.scenario.scenario import Recording, Scenario, without_metrics
 from desim.study.plan import metric_code
 from desim.study.plan.config_hash import identify
-from desim.study.plan.configurations import without_metrics
 from desim.study.plan.metric_code import units_and_codes
 from desim.study.results.figures import means
 from desim.study.results.result import SweepResult

@@ -26,9 +26,9 @@ from desim.config.arguments import naming_arguments, scenario_argument
 from desim.config.python_numbers import whole
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.seeds import seed_of
-from desim.scenario.scenario import Scenario
+from desim.scenario.scenario import Scenario, without_metrics
 from desim.study.ablation.imperfections import IMPERFECTIONS, with_perfect_network, without_messages
-from desim.study.plan.configurations import Configuration, distinct, without_metrics
+from desim.study.plan.configurations import Configuration, distinct
 from desim.study.results.costs import AS_IT_IS, IDEAL, INTERACTION_RISK, PERFECT, SILENT, Bounds, Cost, Saving
 from desim.study.results.explanation import EXPLAINED, Explanation
 from desim.study.store.run_table import Row

@@ -18,7 +18,7 @@ from desim.config.parameters import are_equal, as_jsonable, as_key, is_named_onl
 from desim.config.suggestion import did_you_mean
 from desim.config.traits import kind_of
 from desim.scenario.overrides import ScenarioError, Source
-from desim.scenario.scenario import Scenario
+from desim.scenario.scenario import Scenario, without_metrics
 from desim.scenario.sweep_table import Design, Sweep
 from desim.scenario.toml import validate
 from desim.scenario.value_ranges import is_range, values_to_try
@@ -343,13 +343,6 @@ def _source_with(source: Source, settings: Settings) -> tuple[Source, dict[str, 
             reasons = ((problem.reason if problem.key == key else str(problem)) for problem in error.problems)
             unset[key] = [_about_grid(source, reason, key) for reason in reasons]
     return changed, unset
-
-
-def without_metrics(scenario: Scenario) -> Scenario:
-    """Return a scenario without `record.metrics`, which select measurements and are not part of a run's identity."""
-    if not scenario.record.metrics:
-        return scenario
-    return scenario.model_copy(update={"record": scenario.record.model_copy(update={"metrics": ()})})
 
 
 def _with_cause(problem: Problem, affected: Sequence[Settings], source: Source, grid: SweepGrid) -> Problem:

@@ -21,7 +21,7 @@ from desim.config.errors import ArgumentError
 from desim.config.python_numbers import whole
 from desim.kernel.core.seeds import seed_of, stream
 from desim.scenario.overrides import Source
-from desim.scenario.scenario import Scenario
+from desim.scenario.scenario import Scenario, without_metrics
 from desim.scenario.toml import validate
 from desim.scenario.value_ranges import KeyRange, is_range, setting_at
 from desim.study.plan.configurations import (
@@ -31,7 +31,6 @@ from desim.study.plan.configurations import (
     label,
     sweep_of,
     valid_configurations,
-    without_metrics,
 )
 from desim.study.sensitivity.morris import ElementaryEffects, among_items, elementary_effects, morris_points
 from desim.study.sensitivity.sensitivity_result import SensitivityResult

@@ -12,11 +12,11 @@ from desim.kernel.core.seeds import run_seed, seed_of
 from desim.results import environment
 from desim.scenario.checks import sweep_warnings
 from desim.scenario.overrides import Source
-from desim.scenario.scenario import Scenario
+from desim.scenario.scenario import Scenario, without_metrics
 from desim.scenario.sweep_table import Design
 from desim.scenario.toml import validate
 from desim.study.plan.config_hash import tables
-from desim.study.plan.configurations import Configuration, SweepGrid, as_source, configurations, without_metrics
+from desim.study.plan.configurations import Configuration, SweepGrid, as_source, configurations
 from desim.study.plan.metric_code import units_and_codes
 from desim.study.results.runs import Group, SweepRuns
 from desim.study.store.properties import flat
