@@ -250,14 +250,15 @@ def _versions(model: ByzantineFault, speaker: Speaker, body: Any, neighbours: Se
     answer: list[Version] | None = model.says_to(speaker, body, neighbours)
     if answer is None or is_ours(type(model)):
         return answer
+    cause = None
     try:
         versions: list[Version] = [(frozenset(map(index, told)), version) for told, version in answer]
-    except (TypeError, ValueError):
-        versions = [((), None)]
+    except (TypeError, ValueError) as error:
+        versions, cause = [((), None)], error
     if all(isinstance(version, type(body)) for _, version in versions):
         return versions
     form = f"pairs of neighbours and a body of the type {type(body).__name__}, [([1, 2], body)] for instance, or None"
-    raise wrong_answer(f"says_to(me, body, neighbours) should return {form}", answer, model)
+    raise wrong_answer(f"says_to(me, body, neighbours) should return {form}", answer, model) from cause
 
 
 def _drops(model: ByzantineFault, speaker: Speaker) -> bool:
