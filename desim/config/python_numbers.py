@@ -190,7 +190,7 @@ def _items(values: Any, *, is_row: bool = False) -> Any:
 
 
 def _is_named(value: Any) -> bool:
-    return isinstance(value, tuple) and hasattr(value, "_fields")
+    return isinstance(value, tuple) and hasattr(value, "_fields") and not callable(value)
 
 
 def _length(values: Sized) -> int:

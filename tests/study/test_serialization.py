@@ -13,7 +13,7 @@ import pytest
 
 from desim.config.own_modules import is_installed
 from desim.study.workers import serialization
-from desim.study.workers.serialization import packed
+from desim.study.workers.serialization import called, packed
 
 
 def test_a_call_packed_while_another_thread_packs_includes_its_code(tmp_path, monkeypatch):
@@ -180,3 +180,30 @@ def test_a_call_of_a_function_with_a_cache_is_made_anew_unless_it_can_be_importe
     assert (made(5), made.cache_info().maxsize, made.__wrapped__.__name__) == (0, 3, "count_down")
     assert made.cache_info().currsize == 3  # it calls itself through its own cache
     assert pickle.loads(packed(partial(is_installed, tmp_path))).func is is_installed
+
+
+def counting():
+    """Return a function that counts by a helper, one that reads the count, and one that calls itself."""
+    count = 0
+
+    def step():
+        nonlocal count
+        count += 1
+
+    def counted():
+        step()
+        return count
+
+    def factorial(n):
+        return n * factorial(n - 1) if n else count
+
+    return counted, lambda: count, factorial
+
+
+def test_functions_share_the_variables_of_an_enclosing_function_in_another_process():
+    def call(counted, read, factorial):
+        return counted(), counted(), read(), factorial(3), [item() for item in (counted, read)]
+
+    functions = counting()
+    assert pickle.loads(called(packed(partial(call, *functions)))) == (1, 2, 2, 12, [3, 3])
+    assert functions[1]() == 0

@@ -15,7 +15,7 @@ from importlib import import_module
 from pathlib import Path
 from struct import Struct
 from threading import RLock
-from types import CodeType, FunctionType, ModuleType
+from types import CellType, CodeType, FunctionType, ModuleType
 from typing import Any, ClassVar
 
 import cloudpickle
@@ -35,7 +35,8 @@ class CallPickler(cloudpickle.Pickler):  # type: ignore[misc]
     """A pickler whose code objects keep the names of their files, so that tracebacks are the same in any process.
 
     The code objects of cloudpickle 3.1.3 have no file. This class can also pickle wrappers that forward attributes,
-    modules of classes of their own, such as that of mpmath, and what functools and struct make of user code.
+    modules of classes of their own, such as that of mpmath, and what functools and struct make of user code. Functions
+    that share a variable of an enclosing function share it in the other process, too, where cloudpickle separates them.
     """
 
     dispatch_table: ClassVar = ChainMap(
@@ -46,6 +47,17 @@ class CallPickler(cloudpickle.Pickler):  # type: ignore[misc]
         },
         cloudpickle.Pickler.dispatch_table,
     )
+
+    def __init__(self, file: Any):
+        super().__init__(file)
+        self._empty: dict[int, tuple[CellType, CellType]] = {}
+
+    def _function_getnewargs(self, func: Any) -> tuple[Any, ...]:
+        """Return how to create a function, with an empty cell for each variable, which the state fills."""
+        *parts, closure = super()._function_getnewargs(func)
+        if closure is not None:
+            closure = tuple(self._empty.setdefault(id(cell), (cell, CellType()))[1] for cell in func.__closure__)
+        return *parts, closure
 
     def reducer_override(self, value: Any) -> Any:
         """Return how to make an object again in another process; NotImplemented for the usual way."""
