@@ -9,13 +9,17 @@ import pytest
 from scipy.stats import kstest
 
 from desim import Scenario, run
+from desim.kernel.core.events import Broadcast
 from desim.kernel.core.seeds import stream
+from desim.kernel.models.links import Links
 from desim.pursuit.core.events import Decided, Started
 from desim.pursuit.game.game import gain
 from desim.pursuit.motion.capture import capture_time
+from desim.pursuit.team.announcements import Announcements
 from desim.scenario.checks import warnings
 from desim.scenario.players import Team
-from desim.scenario.scenario import Motion
+from desim.scenario.scenario import Motion, Recording
+from protocols.rule import SCHEDULES
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import Periodic, Poisson, Rounds, SharedSeed, owned_slots
 from protocols.temperature import ConstantTau
@@ -174,6 +178,25 @@ def test_with_latency_above_the_period_decisions_use_the_round_before_last():
 
 
 @pytest.mark.slow
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("kind", SCHEDULES.choices())
+def test_each_revision_is_announced_at_its_instant(kind):
+    """With the trigger "revision", also if the action is the same."""
+    scenario = Scenario(
+        horizon=2.0,
+        team=Team(count=3),
+        protocol={"kind": "local_min", "schedule": kind},
+        announce=Announcements(trigger="revision", start="silent"),
+        network=Links(latency=0.01),
+        record=Recording(messages=True),
+    )
+    trace = run(scenario, 1).trace
+    announced = Counter((event.created, event.src) for event in trace.of(Broadcast))
+    decided = Counter((event.t, event.pursuer) for event in trace.of(Decided))
+    assert announced >= decided
+    assert len(decided) > 5
+
+
 def test_a_share_q_of_the_rounds_of_each_is_a_revision():
     """4 pursuers, 2,000 rounds, q = 0.3: standard error sqrt(q (1 - q) / 8000) = 0.005; chances are independent."""
     made = decisions(Rounds(period=0.01, participation=0.3), 4, 20.005, seed=1)
