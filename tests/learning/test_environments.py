@@ -55,6 +55,16 @@ def test_the_numbers_of_a_state_are_named_in_its_order():
     assert (state["pursuer_0.down"], state["pursuer_1.down"], state["evader_1.captured"]) == (0.0, 1.0, 0.0)
 
 
+def test_the_places_in_a_state_are_those_of_the_players_that_are_named():
+    places = {"pursuer_0": (0.0, 1.0), "pursuer_1": (3.0, 4.0), "evader_1": (10.0, 11.0), "evader_2": (12.0, -13.0)}
+    evaders = tuple(Evader(position=places[name]) for name in ("evader_1", "evader_2"))
+    team = {"count": 2, "positions": (places["pursuer_0"], places["pursuer_1"])}
+    env = desim.env(Scenario(horizon=1.0, team=team, evader=evaders, motion={"static": True}))
+    env.reset(seed=1)
+    state = dict(zip(env.state_names, env.state().tolist(), strict=True))
+    assert {name: (state[f"{name}.x"], state[f"{name}.y"]) for name in places} == places
+
+
 def lines(result):
     return list(map(line_of, result.trace))
 

@@ -82,6 +82,16 @@ def test_numbers_are_those_of_the_agent():
     assert (seen["pursuer_0.age"], seen["pursuer_0.heard"], seen["pursuer_0.action"]) == (0.0, 1.0, 0.0)
 
 
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("omniscient", [False, True])
+@pytest.mark.parametrize("action", [1, 0, 2])
+def test_the_evader_that_a_pursuer_chases_is_the_one_that_it_has_chosen(action, omniscient):
+    env, rows = observed(apart(evader=(STILL, STILL)), 0, near_action=action, omniscient=omniscient)
+    chosen = [env.observation_names.index(f"evader_{evader}.chosen") for evader in (1, 2)]
+    assert rows[-1, 1, chosen].tolist() == [float(action == evader) for evader in (1, 2)]
+    assert rows[-1, 0, chosen].tolist() == [0.0, 0.0]
+
+
 def test_a_teammate_that_is_sensed_is_where_it_is_without_a_message():
     env, rows = observed(apart(**{"announce.payload": "action"}), 0, steps=1)
     seen = dict(zip(env.observation_names, rows[-1, 0].tolist(), strict=True))
