@@ -222,6 +222,14 @@ def test_the_worst_is_where_the_longest_stretch_or_the_largest_violation_began(t
     assert (worst.measure, worst.at) == (measure, at)
 
 
+def test_the_worst_of_a_total_is_its_longest_piece_wherever_that_lies():
+    """A piece of 4 ns from 7 on is longer than one of 3 ns before, and than one of 2 ns after it."""
+    pieces = [(0, 2, 1.0), (2, 5, 1.0), (5, 7, -1.0), (7, 11, 1.0), (11, 13, 1.0)]
+    prop = property_of("idle at most 0 in total")
+    worst = list(prop.worst(PropertyPiece(begin, end, (margin,)) for begin, end, margin in pieces))
+    assert [part.at for part in worst] == [0, 2, 2, 7, 7]
+
+
 def test_a_watcher_refuses_what_is_known_after_the_run_only():
     for text in ("always age <= 1", "always active <= 1 against centralised"):
         with pytest.raises(ValueError, match="is known only after a run"):
