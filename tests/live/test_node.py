@@ -49,8 +49,8 @@ def node_with(**links) -> Node:
     return Node(experiment.model_copy(update={"network": experiment.network.model_copy(update=links)}), 1, 5)
 
 
-def announcement(seq, src=0):
-    return WIRE.encode(Record(src, seq, 0, Assignment(1)), "", 24, to_one=False)
+def announcement(seq, src=0, stamp=0):
+    return WIRE.encode(Record(src, seq, stamp, Assignment(1)), "", 24, to_one=False)
 
 
 def share_lost(node, count=20_000):
@@ -80,6 +80,16 @@ def test_a_copy_is_drawn_and_lost_independently_of_its_original():
     arrived = {outcome.number for outcome in node.link.outcomes if outcome.arrival != LOST}
     assert abs(1 - len(arrived) / count - p**2) < 3 * error
     assert abs(1 - len(arrived) / count - p) > 3 * error  # if a lost message had no copy
+
+
+def test_a_copy_arrives_at_the_stamp_plus_the_latency_as_its_original():
+    node = node_with(latency=Uniform(low=0.2, high=0.3), duplicate=Bernoulli(p=1.0))
+    node._env.advance(60_000_000)
+    for seq in range(1, 101):
+        node.link.receive(announcement(seq, stamp=50_000_000), 0)
+    arrivals = [outcome.arrival for outcome in node.link.outcomes if outcome.arrival != LOST]
+    assert len(set(arrivals)) == len(arrivals) > 150
+    assert all(250_000_000 <= arrival <= 350_000_000 for arrival in arrivals)
 
 
 def test_a_node_whose_links_are_real_draws_nothing_and_does_not_take_their_latency_for_lateness():

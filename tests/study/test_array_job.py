@@ -90,6 +90,9 @@ def test_bad_input_of_submit_and_status_is_refused(place):
     record = place / "out" / "relay" / "submit.json"
     record.write_text('{"name": "a", "runs": "many", "parts": 2}')
     assert "submit.json: is damaged: runs cannot be read; remove the file" in refused("status", record.parent)
+    for key, fields in {"runs": '"runs": "6", "parts": 2', "parts": '"runs": 6, "parts": 2.0'}.items():
+        record.write_text(f'{{"name": "a", {fields}}}')
+        assert f"submit.json: is damaged: {key} cannot be read" in refused("status", record.parent)
 
 
 @pytest.mark.parametrize("content", [b"", b"no store"])

@@ -33,7 +33,7 @@ from desim.config.own_modules import find_own_modules, module_beside
 from desim.config.shared_state import StateWarning
 from desim.study.plan import user_code
 from desim.study.plan.assigned_values import values_beside_source
-from desim.study.plan.config_hash import StablePickler, code_with_values, object_hash
+from desim.study.plan.config_hash import StablePickler, _imported, code_with_values, object_hash
 from desim.study.plan.user_code import UserCode
 
 
@@ -422,6 +422,12 @@ def test_the_text_of_what_a_module_imports_counts(tmp_path, monkeypatch, changed
         for name in ("group", "group.near", "group.mine"):
             sys.modules.pop(name)
     assert found[0] == found[1] != found[2]
+
+
+def test_a_module_that_a_function_imports_from_a_package_is_one_of_its_modules():
+    namespace = {}
+    exec("def rule(me):\n    from group import near\n    import other.part\n    near.GAIN", namespace)
+    assert _imported(namespace["rule"].__code__) == {"group", "group.near", "other.part"}
 
 
 @pytest.mark.parametrize(
