@@ -15,7 +15,7 @@ from desim.kernel.models.clock_skew import ClockSkew
 from desim.kernel.models.fault_plans import RandomCrashes, RandomFaults
 from desim.kernel.models.faults import Crash, Jamming, Partition
 from desim.kernel.models.graphs import Edge, Edges, Link, Ring
-from desim.kernel.models.interference import Sinr
+from desim.kernel.models.interference import INTERFERENCES, Sinr
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli, GilbertElliott
 from desim.kernel.models.medium import Bitrate
@@ -176,7 +176,13 @@ ONE_LATE = Links(link=[Link(src=0, dst=1, latency={"kind": "constant", "value": 
         ({"network": Links(medium=Bitrate(bitrate=1e6, half_duplex=True))}, True),
         ({"network": Links(medium=Bitrate(bitrate=1e6, queue_limit=4))}, True),
         ({"network": Links(medium=Bitrate(bitrate=1e6, access=CsmaCa()))}, True),
-        ({"network": Links(medium=Bitrate(bitrate=1e6, access=Tdma()))}, False),
+        *(
+            (
+                {"network": Links(medium=Bitrate(bitrate=1e6, access=Tdma(), reception=INTERFERENCES.choice(kind)()))},
+                False,
+            )
+            for kind in ("collision", "capture")
+        ),
         ({"network": Links(medium=Bitrate(bitrate=1e6, access=Tdma(), reception=Sinr(noise=1e-9)))}, True),
         ({"network": Links(medium=Bitrate(bitrate=1e6, access=Tdma())), "fault": [ClockSkew(offset=0.1)]}, True),
         ({"network": Links(range=50.0), "motion": Motion(static=True)}, False),
