@@ -22,7 +22,7 @@ NO_MESSAGES = "the trace lacks the messages that were sent: set record.messages 
 class TraceIndex(Result):
     """The result of a finished run, with a cache of derived quantities."""
 
-    derived: dict[Callable[[Result], Any], Any] = field(default_factory=dict, repr=False, compare=False)
+    derived: dict[Callable[[Result], Any], Any] = field(default_factory=dict, compare=False)
     """By function (see `remembered`), the value that it returned."""
 
 
