@@ -34,7 +34,7 @@ from desim.config.model import (
     Time,
     Value,
 )
-from tests.models import MODELS, made
+from tests.models import MODELS, NEEDED, made
 
 
 def test_a_box_is_a_lower_and_an_upper_bound_which_may_be_the_same():
@@ -489,3 +489,10 @@ def test_the_types_of_a_union_are_no_keys():
 
     with pytest.raises(KeyedError, match=r"^Mixed: x: should be a number.*\nMixed: x\.1: should be an integer"):
         Mixed(x=[1, "w"])
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda model: model.__name__)
+def test_what_was_given_is_a_table_of_keys_of_the_model(model):
+    given = made(model).given()
+    assert given.keys() <= model.model_fields.keys()
+    assert {name for name in NEEDED.get(model.__name__, ()) if name not in {"file", "nodes"}} <= given.keys()

@@ -1039,3 +1039,21 @@ def test_edges_that_differ_by_direction_are_one_way_if_all_have_both(tmp_path):
     file.write_text(header + "a,b,.1\nb,a,.2\nb,c,.1\n")
     with pytest.raises(ValueError, match="edges 0 and 1 are parallel"):
         Edges(file=str(file))
+
+
+def test_a_line_of_one_word_is_a_node_and_one_of_several_words_a_title(tmp_path):
+    file = tmp_path / "e.csv"
+    edges = "Rome,New York\nRome,Bern\nBern,New York\n"
+    file.write_text(f"Oslo\n{edges}")
+    assert set(Edges(file=str(file)).names) == {"Oslo", "Rome", "Bern", "New York"}
+    file.write_text(f"Rome,Bern\nLinks of 2024\n{edges}")
+    with pytest.raises(ValueError, match="line 2: 'Links of 2024' is no edge, and no name of a node"):
+        Edges(file=str(file))
+
+
+@pytest.mark.parametrize("sign", [",", ";", "\t", " ", ", "])
+def test_a_list_may_begin_with_a_node_without_edges(tmp_path, sign):
+    file = tmp_path / "e.csv"
+    file.write_text(f"# c\nOslo\nBern\nRome{sign}Bonn\n")
+    graph = Edges(file=str(file))
+    assert (graph.names, [(edge.src, edge.dst) for edge in graph.edges]) == (("Oslo", "Bern", "Rome", "Bonn"), [(2, 3)])

@@ -619,6 +619,8 @@ EDITS = {
     "UPDATE runs SET summary = json_set(summary, '$.new', 1)": f"{FIRST_RUN}summary.new: is no metric of this store",
     "UPDATE metrics SET name = 'x' WHERE name = 'energy'": f"{FIRST_RUN}summary.energy: is no metric of this store",
     "UPDATE runs SET summary = json_set(summary, '$.active_time', 'x')": f"{FIRST_RUN}summary.active_time: should be a",
+    "UPDATE runs SET summary = json_set(summary, '$.active_time', '2')": f"{FIRST_RUN}summary.active_time: should be a",
+    "UPDATE runs SET summary = json_set(summary, '$.captured', 'true')": f"{FIRST_RUN}summary.captured: ",
     "UPDATE runs SET seed = 'x'": "runs: .*, seed x: seed: String should match pattern",
     "UPDATE configurations SET settings = '[1]'": "configurations: configuration .*: settings: should be a table",
     "UPDATE configurations SET settings = '{}'": "configuration .*: should have the settings network.loss.p",

@@ -139,8 +139,9 @@ def read_adjacency_list(file: Path, text: str, directed: bool | None) -> "nx.Gra
 
 
 def _delimiter(text: str) -> str:
-    """Return the sign that separates the cells of a list; "": white space."""
-    first = next((line for line in text.split("\n") if line.strip() and line.strip()[0] not in "#%"), "")
+    """Return the sign that separates the cells of a list, by the first line with several; "": white space."""
+    lines = (line for line in text.split("\n") if line.strip() and line.strip()[0] not in "#%")
+    first = next((line for line in lines if re.search(r"\S[\s,;]+\S", line)), "")
     return separator_in(first.partition("{")[0])
 
 
