@@ -18,6 +18,7 @@ from desim.config import named_code
 from desim.config.choice import OneOf, kind_of
 from desim.config.errors import KeyedError
 from desim.config.field_docs import fields_of
+from desim.config.field_types import NotEmpty
 from desim.config.json_numbers import to_json
 from desim.config.model import (
     Box,
@@ -34,6 +35,7 @@ from desim.config.model import (
     Time,
     Value,
 )
+from desim.config.model_parts import markers_of
 from tests.models import MODELS, NEEDED, made
 
 
@@ -496,3 +498,19 @@ def test_what_was_given_is_a_table_of_keys_of_the_model(model):
     given = made(model).given()
     assert given.keys() <= model.model_fields.keys()
     assert {name for name in NEEDED.get(model.__name__, ()) if name not in {"file", "nodes"}} <= given.keys()
+
+
+LISTS = [
+    (model, name)
+    for model in MODELS
+    for name, field in model.model_fields.items()
+    if any(isinstance(marker, NotEmpty) for marker in markers_of(field))
+]
+
+
+@pytest.mark.parametrize(("model", "name"), LISTS, ids=lambda each: getattr(each, "__name__", each))
+def test_a_list_without_items_is_refused_in_these_words(model, name):
+    needed = {key: value for key, value in NEEDED.get(model.__name__, {}).items() if key != name}
+    with pytest.raises(KeyedError, match=rf"{name}: should have at least 1 item, has none($|;)"):
+        model(**needed | {name: []})
+    assert len(LISTS) > 5
