@@ -365,6 +365,29 @@ def names_in_matrix(value: Any) -> tuple[str, ...]:
     return tuple(columns if are_numbered else rows)
 
 
+def check_times(value: Any, name: str) -> None:
+    """Check the names of the columns of a table over time; a table without names is in the order t, x, y.
+
+    Args:
+        value: the table, or anything else that `as_python` converts.
+        name: what it is called in the error.
+
+    Raises:
+        ValueError: if the columns have names that are not t, x and y, such as speed and direction.
+    """
+    try:
+        if hasattr(value, "isel"):
+            labels = _labels(value, -1)
+        else:
+            labels = _columns(_with_times(value)) if hasattr(value, "columns") or hasattr(value, "dtype") else []
+        is_known = not all(map(_is_name, labels)) or len(coordinate_columns(labels) or ()) == 3
+    except ValueError:
+        return  # `as_python` refuses the table with the same words
+    names = [str(label).lower() for label in labels]
+    if names and not is_known and (names[0] not in COLUMNS["t"] or names[1:] != ["u", "v"]):
+        raise ValueError(f"the columns of {name} should be t, x and y (got {abridged(', '.join(map(str, labels)))})")
+
+
 def _is_name(label: Any) -> bool:
     """Return whether a label is the name of a node, and neither a number nor made by polars or numpy."""
     return isinstance(label, str) and not re.fullmatch(r"\d*|column_\d+|f\d+", label)

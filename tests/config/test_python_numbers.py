@@ -722,6 +722,24 @@ def test_the_nodes_of_a_matrix_may_have_the_names_of_coordinates():
         assert list(matrix.nodes) == names
 
 
+@pytest.mark.parametrize("names", ["v u t", "t speed direction", "t vx_kmh vy_kmh", "e n t", "x y", "t a b", "u v"])
+@pytest.mark.parametrize("make", [lambda d: RecordedMotion(waypoints=d), lambda d: RecordedFlow(velocities=d)])
+def test_a_table_over_time_with_other_names_is_refused(make, names):
+    """By their places, v would be the time, and a direction a velocity."""
+    columns = names.split()
+    table = pd.DataFrame([[0.0, 1.0, 2.0][: len(columns)]], columns=columns)
+    for each in (table, table.to_records(index=False), OfArrow(**table)):
+        with pytest.raises(KeyedError, match=rf"the columns of \w+ should be t, x and y \(got {', '.join(columns)}\)"):
+            make(each)
+
+
+@pytest.mark.parametrize("names", [("t", "u", "v"), (0, 1, 2), ("f0", "f1", "f2"), ("y", "time", "x")])
+def test_a_table_over_time_without_such_names_is_read(names):
+    table = pd.DataFrame([[0.0, 1.0, 2.0]], columns=names)
+    expected = ((0.0, 1.0, 2.0),) if names[0] != "y" else ((1.0, 2.0, 0.0),)
+    assert RecordedFlow(velocities=table).velocities == RecordedMotion(waypoints=table).waypoints == expected
+
+
 def test_a_named_tuple_that_is_no_row_may_have_any_names():
     class Drone(Value):
         place: tuple[float, float, float]

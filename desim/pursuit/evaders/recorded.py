@@ -26,7 +26,7 @@ from desim.config.arguments import abridged
 from desim.config.caller_warnings import warn_reader
 from desim.config.choice import OneOf
 from desim.config.model import MAX_COORDINATE, Coordinate, FirstError, Length, Limit, Time, Value
-from desim.config.python_numbers import as_complex
+from desim.config.python_numbers import as_complex, check_times
 from desim.config.traits import Follows, Traits, name_of
 from desim.config.trust import resolve_path
 from desim.kernel.core.units import nanoseconds, seconds
@@ -117,6 +117,7 @@ class RecordedMotion(_Record):
         has_file = data.get("file") is not None
         if has_file and "waypoints" in data:
             raise ValueError("should have waypoints or a file of waypoints, not both")
+        check_times(data.get("waypoints"), "waypoints")
         # With a file, the other keys are validated first, because they determine how it is read.
         checked = make(data | {"file": None, "waypoints": [(0.0, 0.0, 0.0)]} if has_file else data)
         waypoints: Waypoints = checked.waypoints

@@ -22,7 +22,7 @@ from desim.config.arrays import Floats, Points
 from desim.config.choice import OneOf
 from desim.config.model import MAX_COORDINATE, Coordinate, Duration, FirstError, Length, Limit, Speed, Time, Value
 from desim.config.number_files import is_fill
-from desim.config.python_numbers import as_complex
+from desim.config.python_numbers import as_complex, check_times
 from desim.config.traits import Follows, Traits
 from desim.config.trust import resolve_path
 from desim.kernel.core import portable_math
@@ -189,6 +189,7 @@ class RecordedFlow(UniformFlow):
     @classmethod
     def _read(cls, data: Any, make: ModelWrapValidatorHandler[Self], info: ValidationInfo) -> Self:
         if not isinstance(data, dict) or data.get("file") is None:
+            check_times(data.get("velocities") if isinstance(data, dict) else None, "velocities")
             return make(data)
         if "velocities" in data:
             raise ValueError("should have velocities or a file of velocities, not both")
