@@ -84,7 +84,7 @@ def _csv_of_frame(table: Any) -> str | None:
         return str(table.write_csv())
     if not hasattr(table, "to_csv") or not hasattr(table, "columns"):
         return None
-    has_dates = getattr(table.index.dtype, "kind", "") == "M"
+    has_dates = str(table.index.dtype).startswith("datetime64")
     names = [name or ("t" if has_dates else f"index_{k}") for k, name in enumerate(table.index.names)]
     return str(table.to_csv(index=has_dates or any(table.index.names), index_label=names))
 
