@@ -44,6 +44,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", COMMANDS)
 def test_a_command_needs_no_extra_for_what_it_computes(folder, name):
     command, code, file = COMMANDS[name]

@@ -42,6 +42,7 @@ def time_of_run(folder, record, keys, length):
     return min(times)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("name", RECORDS)
 def test_a_long_record_makes_no_step_of_a_run_slower(tmp_path, name):
     (tmp_path / "scenario.toml").write_text("horizon = 2.0\nteam = {count = 4}\nevader = {speed = 0.9}\n")
