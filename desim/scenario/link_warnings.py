@@ -5,8 +5,7 @@ from collections.abc import Iterator, Sequence
 from math import inf
 from typing import Any
 
-import numpy as np
-
+from desim.config.arrays import array_of
 from desim.config.model import RESOLUTION, Value
 from desim.config.number_files import is_fill
 from desim.config.traits import inherits
@@ -197,7 +196,7 @@ def late_rows(noun: str, times: Sequence[float], horizon: float, late: float = 1
 
 def _largest(model: Any) -> float:
     """Return the largest finite number in the list or the matrix `values` of a model; 0 if it has none."""
-    values = np.array(getattr(model, "values", ()) if isinstance(model, Value) else ())
+    values = array_of(getattr(model, "values", ()) if isinstance(model, Value) else ())
     return float(values[values < inf].max(initial=0.0)) if values.dtype.kind in "if" else 0.0
 
 

@@ -25,6 +25,7 @@ from desim import (
     SignalTrace,
 )
 from desim.config.errors import KeyedError
+from desim.config.model import Value
 from desim.kernel.core.clock import Clock
 from desim.kernel.measured.csv_tables import _csv_of
 from desim.kernel.measured.measurements import LAST_CLOCK, PER_SECOND, start_of, time_of
@@ -633,6 +634,19 @@ def test_the_least_value_is_not_in_minutes_and_a_time_is():
 @pytest.mark.parametrize("table", ["t,value\n0,0.1\n1,0.2\n", "t,src,dst,value\n0,0,1,0.1\n1,0,1,0.2\n"])
 def test_a_table_is_shown_by_the_number_of_its_rows(table):
     assert LatencyTrace(table=table, both_ways=True).given()["table"] == "2 rows"
+
+
+class Listed(Value):
+    """A user's latency with rows of different lengths."""
+
+    values: tuple[tuple[float, ...], ...] = ((0.1, 9999.0), (0.2,))
+
+    def __call__(self, context, rng):
+        return 0.1
+
+
+def test_rows_of_different_lengths_in_a_users_model_give_no_warning_and_no_error():
+    assert "network.latency.values" not in dict(warnings(Scenario(team={"count": 2}, network=Links(latency=Listed()))))
 
 
 class OfPolars:

@@ -257,8 +257,8 @@ class LinkSampler:
         receivers = self._receivers.get(src)
         if receivers is None or receivers.nodes is not dst:
             receivers = self._arrays(src, dst)
-        known = receivers.distances
-        return LinkContext(src, receivers.array, now / SECOND, size, seed, positions, known, called)
+        distances = receivers.distances
+        return LinkContext(src, receivers.array, now / SECOND, size, seed, positions, distances, called)
 
     def _arrays(self, src: int, dst: list[int]) -> "_Receivers":
         """Return the arrays of a list of receivers, and keep them for the sender if the list may be used again.

@@ -143,12 +143,12 @@ class Timing:
         """
         if not callable(act):
             raise ValueError(f"pursuer {self.id}: after: act should be a function (got {value_text(act)})")
-        code = getattr(act, "__code__", None), type(act)  # a protocol may call `after` for each message
-        if code not in self._checked:
+        code = getattr(act, "__code__", None)
+        if (code, type(act)) not in self._checked:  # a protocol may call `after` for each message
             if module_of(act.func if isinstance(act, partial) else act).partition(".")[0] not in OURS:
                 check_action(act, (), f"pursuer {self.id}: after: act")
-            if code[0] is not None:
-                self._checked.add(code)
+            if code is not None:
+                self._checked.add((code, type(act)))
         restarts_before = self.restarts
 
         def happen(_: simpy.Event) -> None:
