@@ -31,9 +31,9 @@ from desim.config.tables import holds, value_at
 def problems_of_call(error: ValidationError, model: type[BaseModel], values: Mapping[str, Any]) -> tuple[Problem, ...]:
     """Return the problems of a call of a model, given the error of pydantic and the values by key."""
     wording = Wording(values, model, written=repr, is_call=True)
-    problems = (found for problem in error.errors() for found in wording.problems(problem))
-    once = dict.fromkeys(problems)  # several members of a union may have the same problem
-    return tuple(Problem(reason, ".".join(map(str, place)), model.__name__) for place, reason in once)
+    return tuple(
+        Problem(reason, ".".join(map(str, place)), model.__name__) for place, reason in wording.all_problems(error)
+    )
 
 
 @dataclass(frozen=True)
@@ -54,6 +54,10 @@ class Wording:
     """The model of the table in which pydantic found the error, possibly a user's class; None: `whole`."""
     above: KeyPath = ()
     """The place of that table."""
+
+    def all_problems(self, error: ValidationError) -> list[tuple[KeyPath, str]]:
+        """Return the place and the reason of each problem, once: several members of a union may have the same one."""
+        return list(dict.fromkeys(problem for detail in error.errors() for problem in self.problems(detail)))
 
     def problems(self, error: ErrorDetails) -> Iterator[tuple[KeyPath, str]]:
         """Yield the place and the reason of each problem that a pydantic error describes."""

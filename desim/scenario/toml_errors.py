@@ -41,8 +41,7 @@ def _problems(error: ValidationError, source: Source, model: type[Value]) -> lis
             source.where(place),
             source.line(place),
         )
-        for detail in error.errors()
-        for place, reason in wording.problems(detail)
+        for place, reason in wording.all_problems(error)
     ]
 
 
